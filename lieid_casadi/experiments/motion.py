@@ -34,8 +34,8 @@ PROBE_SIZE = 0.5  # of the largest motion within the limits
 HARMONICS = 5
 STARTS, EVALUATIONS = 60, 400  # of the search for a separating motion
 PARTS = (1, 2)  # periods in one motion that are compared: a long one and short ones
-SWEEP_SPEEDS = (0.03, 0.1, 0.3, 0.7)  # of the velocity limit
-SWEEP_SECONDS = 1.5  # at each speed and direction
+SWEEP_SPEEDS = (0.03, 0.15, 0.6)  # of the velocity limit
+SWEEP_SECONDS = 1.2  # at each speed and direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,8 @@ class MotionDesign:
         if purpose.kind == "rivals":
             assert fit is not None
             main, promise = self._separating(purpose.groups, fit, recordings, most, progress)
-        elif purpose.kind == "range" and fit is not None:
+        elif purpose.kind == "range":
+            fit = identify(self.model, recordings)  # shapes cannot be extrapolated
             main, promise = self._ranging(purpose, number, fit, progress)
         elif purpose.kind == "parameters":
             main, promise = self._exciting(fit, number, "logdet", progress)

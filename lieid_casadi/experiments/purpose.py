@@ -34,7 +34,8 @@ class Purpose:
         ``range`` (of ``signals``, where no effect describes the error) or ``parameters`` (of
         effects with uncertain coefficients).
     groups : tuple of tuple of str
-        Labels of the effects that are open, such as ``stribeck:2``; the one in the model first.
+        Labels of the effects that are open, such as ``stribeck:2``, the one in the model first;
+        with ``range`` such as ``joint 2``.
     signals : tuple of str
         With ``range``: such as ``dq2``.
     why : str
@@ -84,10 +85,12 @@ def purposes(
     if groups := new("rivals", separable_groups(diagnosis)):
         text = "; ".join(" or ".join(group) for group in groups)
         found.append(Purpose("rivals", groups, why=f"The recordings do not separate {text}."))
-    for label, signals in shapes(diagnosis):
-        if groups := new("range", [(label,)]):
-            why = f"{label}: no effect of the library describes it, on {', '.join(signals)}."
-            found.append(Purpose("range", groups, signals, why))
+    shown = shapes(diagnosis)
+    if groups := new("range", [(joint,) for joint in shown]):
+        signals = tuple(dict.fromkeys(x for (joint,) in groups for x in shown[joint]))
+        text = ", ".join(joint for (joint,) in groups)
+        why = f"No effect of the library describes the error of {text} over {', '.join(signals)}."
+        found.append(Purpose("range", groups, signals, why))
     if groups := new("parameters", uncertain(diagnosis)):
         text = ", ".join(label for (label,) in groups)
         found.append(Purpose("parameters", groups, why=f"The size of {text} is uncertain."))
@@ -113,14 +116,12 @@ def separable_groups(diagnosis: Diagnosis) -> list[Group]:
     return [group for group in groups if len(group) > 1]
 
 
-def shapes(diagnosis: Diagnosis) -> list[tuple[str, tuple[str, ...]]]:
-    """Return smooth functions and unexplained errors, with the signals that they depend on."""
-    smooth = [(s.label, s.depends_on) for s in diagnosis.steps if s.status == "shape"]
-    rest = [
-        (f"unexplained:{part.joint + 1}", part.depends_on or (f"dq{part.joint + 1}",))
-        for part in diagnosis.unexplained
-    ]
-    return smooth + rest
+def shapes(diagnosis: Diagnosis) -> dict[str, tuple[str, ...]]:
+    """Return the joints with an error that no effect describes: on which signals it depends."""
+    found = {f"joint {s.joint + 1}": s.depends_on for s in diagnosis.steps if s.status == "shape"}
+    for part in diagnosis.unexplained:
+        found.setdefault(f"joint {part.joint + 1}", part.depends_on or (f"dq{part.joint + 1}",))
+    return found
 
 
 def uncertain(diagnosis: Diagnosis) -> list[Group]:

@@ -75,7 +75,9 @@ class RecordCommand:
         if status != 0:
             last = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no output"]
             how = f"signal {signal.Signals(-status).name}" if status < 0 else f"status {status}"
-            raise RecordError(f"the command ended with {how} ({last[0]}); its output is in {log}")
+            raise RecordError(
+                f"the command ended with {how} ({last[0].strip()}); its output is in {log}"
+            )
         if not written.exists():
             raise RecordError(f"the command wrote no {written}; its output is in {log}")
         return self.load(written)
