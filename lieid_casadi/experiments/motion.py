@@ -214,7 +214,7 @@ class MotionDesign:
         most: int,
         progress: Progress,
     ) -> tuple[MotionSamples, str]:
-        """Return the motion that separates the rivals of all groups that can be separated.
+        """Return the motion that separates the rivals of all groups, or of as many as it can.
 
         One long period and several short ones are compared by the time that they need.
         """
@@ -223,7 +223,8 @@ class MotionDesign:
             for group in groups
             for label, values in rival_sizes(fit, group, recordings).items()
         }
-        tried = [tuple(groups)] + ([(group,) for group in groups] if len(groups) > 1 else [])
+        pairs = [((group[0], rival),) for group in groups for rival in group[1:]]
+        tried = dict.fromkeys([tuple(groups), *((group,) for group in groups), *pairs])
         reasons = list[str]()
         for chosen in tried:
             known = {label: sizes[label] for group in chosen for label in group if label in sizes}
