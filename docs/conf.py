@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -78,6 +79,10 @@ PROGRAMS = {
     "demo": "lieid demo",
     "uncertainty": f"{sys.executable} examples/uncertainty.py 10",
     "optimal_control": f"{sys.executable} examples/optimal_control.py",
+    "experiment": (
+        "lieid experiment two_link --yes -o experiment --record "
+        "'python examples/experiment_mujoco.py {trajectory} {recording}'"
+    ),
     "downstream_controller": (
         f"{sys.executable} examples/downstream_controller.py --robot two_link --seconds 5"
     ),
@@ -106,7 +111,7 @@ def run(name):
         output.write_text("not run: CMake was not installed where this page was built\n", "utf-8")
         return
     with open(output, "w", encoding="utf-8") as file:
-        subprocess.run(PROGRAMS[name].split(), cwd=WORK, stdout=file, check=True)
+        subprocess.run(shlex.split(PROGRAMS[name]), cwd=WORK, stdout=file, check=True)
 
 
 def check_offline(app, error):

@@ -11,7 +11,8 @@ import lieid_casadi
 ORDER = (
     "errors", "robot", "robots", "recording", "dynamics", "effects", "model", "expressions",
     "compiled", "identification", "excitation", "comparison", "payload", "gains",
-    "friction_curves", "diagnosis", "discrimination", "demo", "exporters", "report", "plant",
+    "friction_curves", "diagnosis", "discrimination", "experiments", "demo", "exporters",
+    "report", "plant",
 )  # fmt: skip
 LEFT_OUT = ("cli",)  # reference/cli.rst is generated from its parser
 BARS = re.compile(r"(``.*?``)|\|(?=\S)([^|`]*?\S)\|")

@@ -15,9 +15,10 @@ from lieid_casadi.errors import ExcitationError, LieidError, NoSolution, Premise
 from lieid_casadi.excitation import default_limits
 from lieid_casadi.excitation.checks import MARGIN
 from lieid_casadi.excitation.limits import Limit, motion_range
+from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.experiments.folder import ExperimentFolder, identity_of
 from lieid_casadi.experiments.motion import MotionDesign, PlannedMotion, probe_motion
-from lieid_casadi.experiments.purpose import open_groups, purposes, remaining, speeds_of
+from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
 from lieid_casadi.experiments.record import (
     DEVIATION,
     DIFFERS,
@@ -136,12 +137,14 @@ def experiment(
         kept = ExperimentFolder.of(folder, identity_of(model.robot, given, probe, seed))
     joints = motion_range(model.robot, acceleration, margin=margin)
     bounds = default_limits(model.robot, margin=margin) if limits is None else tuple(limits)
-    small = None if kept is None else kept.probe(probe)
-    if small is None:
-        small = probe_motion(
+
+    def new_probe() -> MotionSamples:
+        return probe_motion(
             model, joints, bounds, fit=fit, seconds=probe, start_pose=start_pose, rate=rate,
             seed=seed,
         )  # fmt: skip
+
+    small = new_probe() if kept is None else kept.probe(new_probe)
     design = MotionDesign(
         model, fit, joints, bounds, acceleration, margin, longest, rate, seed, small
     )
@@ -186,7 +189,7 @@ class _Session:
         self.source, self.given, self.design, self.kept = source, given, design, kept
         self.record, self.load, self.despite_check = record, load, despite_check
         self.progress = progress
-        self.rounds = list[Round]()
+        self.rounds, self.unnecessary = list[Round](), list[Purpose]()
         self.recorded_ones = list[tuple[Recording, float]]()  # with the start of the motion, s
         if given:
             seconds = sum(recording.duration for recording in given)
@@ -235,8 +238,7 @@ class _Session:
         """Return the next motion, or why there is none."""
         design = self.design
         asked = [each.purpose for each in self.rounds if each.purpose is not None]
-        speeds = speeds_of(self.recordings, design.model.n)
-        needs = purposes(diagnosis, asked, speeds=speeds, velocity=design.range.velocity)
+        needs = purposes(diagnosis, [*asked, *self.unnecessary])
         left = most - len(asked)
         if needs and left < 1:
             return _Ended("most", f"{most} recordings were made, as many as were allowed.")
@@ -252,6 +254,9 @@ class _Session:
                 if diagnosis is None:
                     raise
                 reasons.append(str(failure))
+                continue
+            if motion is None:
+                self.unnecessary.append(need)
                 continue
             if self.kept is not None:
                 motion = replace(motion, folder=self.kept.round(motion.number))

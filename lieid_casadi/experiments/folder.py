@@ -14,7 +14,7 @@ import numpy as np
 
 from lieid_casadi.atomic_file import atomic_binary, check_parent
 from lieid_casadi.diagnosis import Diagnosis
-from lieid_casadi.errors import OutputError, RecordingError
+from lieid_casadi.errors import OutputError
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.experiments.motion import PlannedMotion
 from lieid_casadi.experiments.result import Round
@@ -46,7 +46,9 @@ class ExperimentFolder:
                 f"{path}: holds an experiment with another {', '.join(other) or 'setting'}; "
                 "expected a new folder, or the same arguments to resume"
             )
-        folder.path.mkdir(parents=True, exist_ok=True)
+        if state is None:
+            folder.path.mkdir(parents=True, exist_ok=True)
+            folder.keep({"rounds": []})
         return folder
 
     def state(self) -> dict[str, Any] | None:
@@ -106,20 +108,18 @@ class ExperimentFolder:
         """Write ``experiment.json``."""
         self._write(self.path / STATE, {"identity": dict(self.identity), **content})
 
-    def probe(self, seconds: float) -> MotionSamples | None:
-        """Return the probe motion of the first trajectory; None if there is none yet."""
-        file = self.path / "round-1" / "trajectory.csv"
+    def probe(self, design: Callable[[], MotionSamples]) -> MotionSamples:
+        """Return the probe motion of an earlier call, or a new one."""
+        file = self.path / "probe.npz"
         if not file.exists():
-            return None
-        lines = [line for line in file.read_text().splitlines() if not line.startswith("#")]
-        table = np.loadtxt(lines[1:], delimiter=",", ndmin=2)
-        table = table[table[:, 0] <= seconds + 1e-9]
-        if not len(table):
-            raise RecordingError(f"{file}: no row; expected the motion of the first round")
-        n = (table.shape[1] - 1) // 3
-        return MotionSamples(
-            table[:, 0], *(table[:, 1 + k * n : 1 + (k + 1) * n] for k in range(3))
-        )
+            probe = design()
+            with atomic_binary(file) as written:
+                np.savez(written, t=probe.t, q=probe.q, dq=probe.dq, ddq=probe.ddq)
+        try:
+            with np.load(file) as arrays:
+                return MotionSamples(*(arrays[name] for name in ("t", "q", "dq", "ddq")))
+        except (OSError, ValueError, KeyError) as error:
+            raise OutputError(f"{file}: cannot be resumed: {error}") from None
 
     def _write(self, path: Path, content: Mapping[str, Any]) -> None:
         text = json.dumps(

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
+from lieid_casadi.compiled import compile
 from lieid_casadi.discrimination import discriminate
 from lieid_casadi.discrimination.motion_search import feasible_motions
 from lieid_casadi.discrimination.rival_effects import fitted_numbers
@@ -21,8 +23,9 @@ from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.excitation.trajectory import MotionSamples, csv_text
 from lieid_casadi.experiments.purpose import Group, Purpose
 from lieid_casadi.identification import Fit, identify
+from lieid_casadi.identification.default_effects import JOINT_SIDE
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Recording
+from lieid_casadi.recording import Processed, Recording, process
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,10 +35,13 @@ Progress = Callable[[str, float], None]
 
 PROBE_SIZE = 0.5  # of the largest motion within the limits
 HARMONICS = 5
+EXCITATION_STARTS = 2
 STARTS, EVALUATIONS = 60, 400  # of the search for a separating motion
 PARTS = (1, 2)  # periods in one motion that are compared: a long one and short ones
+WORTH = 0.4  # of an excitation: ln of the factor by which it lowers standard deviations
+LEAST_INFORMATION = 1e-9  # relative to that of an excitation
 SWEEP_SPEEDS = (0.03, 0.15, 0.6)  # of the velocity limit
-SWEEP_SECONDS = 1.2  # at each speed and direction
+SWEEP_SECONDS = (1.0, 0.7)  # at each speed and direction, that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +148,10 @@ class MotionDesign:
         *,
         most: int,
         progress: Progress,
-    ) -> PlannedMotion:
+    ) -> PlannedMotion | None:
         """Return the motion of recording ``number`` for a purpose; ``most`` can still be recorded.
+
+        None stands for an excitation that would show hardly more than the recordings do.
 
         Raises
         ------
@@ -162,6 +170,8 @@ class MotionDesign:
         else:  # recordings of little motion cannot bound the torque of larger motion
             fit = self.fit
             main, promise = self._exciting(fit, number, "combined", progress)
+            if found is not None and information_gain(found, recordings, main) < WORTH:
+                return None
         whole = joined(self.probe, main)
         arm = None if fit is None else FittedArm.of(fit)
         robot = self.model.robot
@@ -180,7 +190,7 @@ class MotionDesign:
             criterion=criterion,  # type: ignore[arg-type]
             limits=self.limits, start_pose=self.probe.q[0], acceleration=self.acceleration,
             margin=self.margin, duration=self.seconds, harmonics=HARMONICS, rate=self.rate,
-            starts=2, seed=self.seed + 10 * number, progress=progress,
+            starts=EXCITATION_STARTS, seed=self.seed + 10 * number, progress=progress,
         )  # fmt: skip
         return design.motion(), f"Condition number {design.condition_number:.3g}."
 
@@ -192,16 +202,16 @@ class MotionDesign:
         if len(joints) == 1:
             (joint,) = joints
             speeds = np.array(SWEEP_SPEEDS) * self.range.velocity[joint]
-            try:
-                sweep = friction_sweep(
-                    fit, joint, speeds=speeds, seconds=SWEEP_SECONDS, start_pose=self.probe.q[0],
-                    acceleration=self.acceleration, margin=self.margin, limits=self.limits,
-                    rate=self.rate,
-                )  # fmt: skip
-            except NoSolution:
-                pass
-            else:
-                if sweep.motion.t[-1] <= self.seconds + SWEEP_SECONDS:
+            for seconds in SWEEP_SECONDS:
+                try:
+                    sweep = friction_sweep(
+                        fit, joint, speeds=speeds, seconds=seconds, start_pose=self.probe.q[0],
+                        acceleration=self.acceleration, margin=self.margin, limits=self.limits,
+                        rate=self.rate,
+                    )  # fmt: skip
+                except NoSolution:
+                    continue  # shorter runs need less space
+                if sweep.motion.t[-1] <= self.seconds:
                     count = len(sweep.parts) // 2
                     return sweep.motion, f"{count} speeds of joint {joint + 1}, forward and back."
         return self._exciting(fit, number, "combined", progress)
@@ -286,6 +296,32 @@ def joined(first: MotionSamples, second: MotionSamples) -> MotionSamples:
         for name in ("q", "dq", "ddq")
     ]
     return MotionSamples(np.concatenate([first.t[:-1], first.t[-1] + second.t]), *kinds)
+
+
+def information_gain(fit: Fit, recordings: Sequence[Recording], motion: MotionSamples) -> float:
+    """Return by how much ln of the standard deviations of base parameters would be smaller.
+
+    It is the mean over the parameters of rigid body, friction and offset, of recordings of the
+    length of the given ones along this motion.
+    """
+    compiled = compile(Model(fit.model.robot, JOINT_SIDE))
+
+    def information(parts: Sequence[MotionSamples | Processed]) -> Array:
+        """Gram matrix of the base regressor per sample, in units of the noise."""
+        grams = [
+            np.einsum("tjp,tjq,j->pq", y, y, fit.noise**-2.0)
+            for y in (compiled.base_regressor(p.q, p.dq, p.ddq) for p in parts)
+        ]
+        return np.asarray(sum(grams) / sum(len(p.q) for p in parts))
+
+    new = information([motion])
+    scale = np.sqrt(np.outer(np.diag(new), np.diag(new)))
+    segments = [part for r in recordings for part in process(r, fit.processing)]
+    logs = [
+        np.linalg.slogdet(gram / scale + LEAST_INFORMATION * np.eye(len(new)))[1]
+        for gram in (new, information(segments))
+    ]
+    return float(logs[0] - logs[1]) / (2.0 * len(new))
 
 
 def rival_sizes(fit: Fit, group: Group, recordings: Sequence[Recording]) -> dict[str, list[float]]:

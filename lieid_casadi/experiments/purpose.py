@@ -7,17 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis import Diagnosis
-from lieid_casadi.recording import Recording
 
 Group = tuple[str, ...]
 Kind = Literal["excitation", "rivals", "range", "parameters"]
 
-SLOW = 0.4  # of the velocity limit: a joint that never was faster has not shown its friction
-FASTEST = 98.0  # percentile of the speed of a recording that stands for its range
 UNCERTAIN = 0.5  # standard deviation of every coefficient of an effect, relative to its value
 TRIES = {"rivals": 2, "range": 1, "parameters": 1}  # motions for one open question at most
 MOST_RIVALS = 4  # of one effect that a motion separates from it, nearest first
@@ -48,34 +42,16 @@ class Purpose:
     why: str = ""
 
 
-def purposes(
-    diagnosis: Diagnosis | None,
-    asked: Sequence[Purpose],
-    *,
-    speeds: Array,
-    velocity: Array,
-) -> list[Purpose]:
+def purposes(diagnosis: Diagnosis | None, asked: Sequence[Purpose]) -> list[Purpose]:
     """Return what the next motion could be for, the most important first.
 
-    A question is dropped after as many motions as `TRIES` states.
-
-    Parameters
-    ----------
-    asked : sequence of Purpose
-        Of the motions so far.
-    speeds, velocity : (n,)
-        Speed that each joint reached in the recordings, and its limit, rad/s.
+    A question is dropped after as many motions as `TRIES` states; ``asked`` are those so far.
     """
     if diagnosis is None:
         return [Purpose("excitation", why="There is no recording yet.")]
     found = []
-    slow = np.flatnonzero(speeds < SLOW * velocity)
-    if len(slow) and not any(purpose.kind == "excitation" for purpose in asked):
-        joints = ", ".join(f"{j + 1}" for j in slow)
-        why = (
-            f"The recordings do not show fast motion of joint {joints}: "
-            f"{speeds[slow[0]]:.2g} of {velocity[slow[0]]:.2g} rad/s."
-        )
+    if not any(purpose.kind == "excitation" for purpose in asked):
+        why = "The recordings show less than an excitation of the same length would."
         found.append(Purpose("excitation", why=why))
     tried = Counter((p.kind, frozenset(group)) for p in asked for group in p.groups)
 
@@ -147,14 +123,3 @@ def remaining(diagnosis: Diagnosis) -> list[str]:
         else:
             parts.append(f"{' or '.join(group)}: not separated.")
     return parts + [f"Joint {part.joint + 1}: {part.relation}." for part in diagnosis.unexplained]
-
-
-def speeds_of(recordings: Sequence[Recording], n: int) -> Array:
-    """Return the speed that each joint reached in recordings (n,), rad/s."""
-    fastest = np.zeros(n)
-    for recording in recordings:
-        dq = recording.dq
-        if dq is None:
-            dq = np.gradient(recording.q, recording.t, axis=0)
-        fastest = np.maximum(fastest, np.percentile(np.abs(dq), FASTEST, axis=0))
-    return fastest

@@ -169,6 +169,15 @@ def test_larger_effects_need_a_shorter_motion(fit):
     assert one.exact_seconds == pytest.approx(4.0 * two.exact_seconds, rel=1e-6)
 
 
+def test_one_motion_separates_several_groups(fit):
+    groups = [RIVALS, ("position_spring:2", "torque_ripple:2")]
+    design = discriminate(fit, groups, evaluations=110)
+    pairs = {frozenset((p.true, p.rival)) for p in design.pairs}
+    assert pairs == {frozenset(group) for group in groups}
+    worst = min(p.noncentrality / p.needed for p in design.pairs)
+    assert design.exact_seconds == pytest.approx(design.trajectory.duration / worst)
+
+
 def test_same_seed_same_motion(fit):
     one, two = (discriminate(fit, RIVALS, evaluations=110, seed=3) for _ in range(2))
     assert np.array_equal(one.trajectory.coefficients, two.trajectory.coefficients)

@@ -1,0 +1,14 @@
+"""Motions that are found sooner."""
+
+import pytest
+
+from lieid_casadi.experiments import motion
+
+
+@pytest.fixture(autouse=True, scope="package")
+def short_searches():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(motion, "EXCITATION_STARTS", 1)
+        patch.setattr(motion, "EVALUATIONS", 60)
+        patch.setattr(motion, "STARTS", 20)
+        yield

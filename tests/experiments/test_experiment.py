@@ -1,0 +1,222 @@
+"""The closed loop on a simulated arm with a hidden effect."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from experiments.arms import QUICK, ROBOT, arm, recorder, sines
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.diagnosis import Rival
+from lieid_casadi.errors import ExcitationError, OutputError, PremiseError, RecordError
+from lieid_casadi.excitation.limits import motion_range
+from lieid_casadi.experiments.motion import MotionDesign, probe_motion
+from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
+from lieid_casadi.report import experiment_report
+
+
+@pytest.fixture(scope="module")
+def given():
+    return sines(arm())
+
+
+@pytest.fixture(scope="module")
+def done(given, tmp_path_factory):
+    """Return an experiment from sines that leave two effects open, and its motions."""
+    record, motions = recorder(arm())
+    folder = tmp_path_factory.mktemp("experiment") / "out"
+    return lieid.experiment(ROBOT, given, record=record, folder=folder, **QUICK), motions
+
+
+def test_names_the_hidden_effect(done):
+    result, _ = done
+    before, after = result.rounds
+    assert before.open == (("stribeck:1", "viscous_polynomial:1"),)
+    assert result.stopped == "all_named"
+    assert after.named == ("stribeck:1",)
+    hidden = arm().effects[0]
+    (step,) = result.diagnosis.steps
+    assert step.parameters["f_s-f_c"] == pytest.approx(hidden.extra, rel=0.1)
+    assert step.parameters["v_s"] == pytest.approx(hidden.velocity, rel=0.1)
+    assert after.error[0] < 0.5 * after.unseen[0]
+    assert result.seconds == pytest.approx(QUICK["longest"])
+
+
+def test_motions_are_within_limits_and_begin_with_the_probe(done):
+    _, (motion,) = done
+    s = motion.samples
+    assert np.all(np.abs(s.q) <= ROBOT.limit("position_upper"))
+    assert np.all(np.abs(s.dq) <= 0.8 * ROBOT.limit("velocity") + 1e-9)
+    nominal = plant.Arm(ROBOT, ROBOT.link_parameters, plant.JointFriction.none(2))
+    torque = plant.measure_along(nominal, s.t, s.q, s.dq, s.ddq).tau
+    assert np.all(np.abs(torque) <= 0.8 * ROBOT.limit("torque"))
+    numeric = np.gradient(s.q, s.t, axis=0)
+    assert np.abs(numeric - s.dq).max() < 0.01
+    end_of_probe = np.searchsorted(s.t, motion.probe)
+    for row in (0, end_of_probe, -1):
+        assert np.allclose(s.q[row], s.q[0], atol=1e-9)
+        assert np.allclose(s.dq[row], 0.0, atol=1e-9)
+    assert any("torque" in text for text in motion.checked)
+    assert any("surroundings" in text for text in motion.unchecked)
+
+
+def test_folder_holds_every_round(done):
+    result, (motion,) = done
+    content = json.loads((result.folder / "experiment.json").read_text())
+    assert content.pop("schema") == 1
+    assert content.pop("identity")["robot"] == "two_link"
+    assert content == json.loads(json.dumps(result.to_dict()))
+    names = {path.name for path in (result.folder / "round-1").iterdir()}
+    assert names == {"trajectory.csv", "recording.csv", "diagnosis.json", "fit.json"}
+    assert {path.name for path in result.folder.iterdir()} == {
+        "experiment.json", "probe.npz", "round-1"
+    }  # fmt: skip
+    lines = (result.folder / content["rounds"][1]["trajectory"]).read_text().splitlines()
+    assert f"# not checked: {motion.unchecked[-1]}" in lines
+    fit = lieid.Fit.load(result.folder / "round-1" / "fit.json")
+    assert "stribeck:1" in fit.model.effects
+
+
+def test_views(done):
+    result, _ = done
+    page = experiment_report(result)
+    assert "stribeck:1 or viscous_polynomial:1" in page
+    assert "surroundings other than the stated ones" in page
+    assert result.plot().axes[0].get_xlabel() == "round"
+    assert "all_named" in repr(result)
+    assert "<table>" in result._repr_html_()
+
+
+def test_a_second_call_resumes(done, given):
+    result, _ = done
+
+    def record(motion):
+        raise AssertionError("nothing is left to be recorded")
+
+    again = lieid.experiment(ROBOT, given, record=record, folder=result.folder, **QUICK)
+    assert again.to_dict() == result.to_dict()
+    with pytest.raises(OutputError, match="another seed"):
+        lieid.experiment(ROBOT, given, record=record, folder=result.folder, seed=3, **QUICK)
+
+
+def test_what_is_not_recorded_is_kept_and_resumed(given, tmp_path):
+    record, motions = recorder(arm())
+    arguments = {"folder": tmp_path, **QUICK}
+    refused = lieid.experiment(ROBOT, given, record=record, confirm=lambda m: False, **arguments)
+    assert (refused.stopped, motions) == ("record_failed", [])
+
+    def fails(motion):
+        motions.append(motion)
+        raise RecordError("the emergency stop was pressed")
+
+    failed = lieid.experiment(ROBOT, given, record=fails, **arguments)
+    assert failed.stopped == "record_failed"
+    assert "emergency stop" in failed.reason
+    assert (tmp_path / "round-1" / "trajectory.csv").exists()
+    limited = lieid.experiment(ROBOT, given, record=record, most=0, **arguments)
+    assert limited.stopped == "most"
+    resumed = lieid.experiment(ROBOT, given, record=record, **arguments)
+    assert resumed.stopped == "all_named"
+    assert np.array_equal(motions[0].samples.q, motions[1].samples.q)
+
+
+def test_a_recording_of_another_unit_is_refused(given, tmp_path):
+    record, _ = recorder(arm())
+
+    def degrees(motion):
+        recording = record(motion)
+        return replace(recording, q=np.degrees(recording.q), dq=np.degrees(recording.dq))
+
+    with pytest.raises(PremiseError, match="do not belong together"):
+        lieid.experiment(ROBOT, given, record=degrees, folder=tmp_path, **QUICK)
+    assert not (tmp_path / "round-1" / "recording.csv").exists()
+
+
+def test_folder_of_something_else_is_refused(given, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    record, _ = recorder(arm())
+    with pytest.raises(OutputError, match="not empty"):
+        lieid.experiment(ROBOT, given, record=record, folder=tmp_path, **QUICK)
+
+
+def test_lengths(given):
+    with pytest.raises(ExcitationError, match="probe"):
+        lieid.experiment(ROBOT, given, record=recorder(arm())[0], longest=6.0)
+
+
+@pytest.fixture(scope="module")
+def ambiguous(given):
+    return lieid.diagnose(lieid.Model(ROBOT, "coulomb,viscous,offset"), given)
+
+
+def test_purposes(ambiguous):
+    groups = (("stribeck:1", "viscous_polynomial:1"),)
+    excitation, rivals = purposes(ambiguous, [])
+    assert (excitation.kind, rivals.kind, rivals.groups) == ("excitation", "rivals", groups)
+    assert purposes(ambiguous, [excitation]) == [rivals]
+    assert purposes(ambiguous, [excitation, rivals, rivals]) == []  # two motions did not decide
+    assert remaining(ambiguous) == ["stribeck:1 or viscous_polynomial:1: not separated."]
+    (step,) = ambiguous.steps
+    same = replace(step, rivals=(Rival("armature:1", "armature", (0,), "exact"),))
+    exact = replace(ambiguous, steps=(same,))
+    assert [p.kind for p in purposes(exact, [])] == ["excitation"]
+    assert open_groups(exact) == [("stribeck:1", "armature:1")]
+    assert remaining(exact) == ["No data can separate stribeck:1 from armature:1."]
+    shape = replace(step, label="smooth/dq:1", status="shape", depends_on=("dq1",), rivals=())
+    unknown = replace(ambiguous, steps=(shape,))
+    (wider,) = purposes(unknown, [excitation])
+    assert (wider.kind, wider.groups, wider.signals) == ("range", (("joint 1",),), ("dq1",))
+
+
+@pytest.fixture(scope="module")
+def design():
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    joints, limits = motion_range(ROBOT, None, margin=0.8), lieid.default_limits(ROBOT)
+    probe = probe_motion(
+        model, joints, limits, fit=None, seconds=2.0, start_pose=None, rate=200.0, seed=0
+    )
+    return MotionDesign(model, None, joints, limits, None, 0.8, 19.0, 200.0, 0, probe)
+
+
+def test_a_motion_for_rivals_separates_them(design, ambiguous, given):
+    purpose = Purpose("rivals", (("stribeck:1", "viscous_polynomial:1"),))
+    motion = design.next(
+        purpose, 1, ambiguous.fit, [given], most=3, progress=lambda stage, done: None
+    )
+    assert motion.duration <= 19.0
+    record, _ = recorder(arm())
+    found = lieid.diagnose(design.model, [given, record(motion)])
+    assert [(step.label, step.status) for step in found.steps] == [("stribeck:1", "named")]
+
+
+def test_a_motion_for_a_shape_covers_speeds(design, ambiguous, given):
+    purpose = Purpose("range", (("joint 1",),), ("dq1",))
+    motion = design.next(
+        purpose, 1, ambiguous.fit, [given], most=3, progress=lambda stage, done: None
+    )
+    speed = np.abs(motion.samples.dq[motion.samples.t > motion.probe])
+    assert speed[:, 1].max() == 0.0
+    for part in (0.03, 0.15, 0.6):
+        steady = np.isclose(speed[:, 0], part * design.range.velocity[0], rtol=1e-6)
+        assert steady.sum() > 80  # at 200 Hz
+
+
+@pytest.mark.slow
+def test_drift_is_reported(given, tmp_path):
+    """The offset of the second recording is not that of the first along the probe."""
+    unknown = plant.ForeignTorque(
+        0, function=lambda s: np.sin(3.0 * s.q[..., 1]) * np.sign(s.dq[..., 0])
+    )
+    record, motions = recorder(arm(None).with_effects(unknown))
+
+    def drifts(motion):
+        recording = record(motion)
+        return replace(recording, tau=recording.tau + np.array([0.6, 0.0]) * (motion.number - 1))
+
+    result = lieid.experiment(ROBOT, record=drifts, most=2, folder=tmp_path, **QUICK)
+    assert len(motions) == 2
+    assert np.allclose(*(m.samples.q[: 3 * 200] for m in motions))
+    (warning,) = result.rounds[1].warnings
+    assert "joint 1 along the probe motion differs" in warning

@@ -1,0 +1,63 @@
+"""``lieid experiment``: files, exit statuses, one line on stderr."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from experiments.arms import arm, sines
+
+from lieid_casadi.cli.main import main
+
+PROGRAM = Path(__file__).parent / "arms.py"
+RECORD = f"'{sys.executable}' '{PROGRAM}' {{trajectory}} {{recording}}"
+
+
+@pytest.fixture
+def words(tmp_path):
+    sines(arm()).save(tmp_path / "sines.csv")
+    return [
+        "experiment", "two_link", str(tmp_path / "sines.csv"), "-o", str(tmp_path / "out"),
+        "--longest", "13", "--rate", "200",
+    ]  # fmt: skip
+
+
+def test_runs_until_the_effect_is_named(words, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(PROGRAM.parents[2]))
+    files = ["--json", str(tmp_path / "out.json"), "--html", str(tmp_path / "out.html")]
+    assert main([*words, "--record", RECORD, "--yes", *files]) == 0
+    shown = capsys.readouterr()
+    assert "Every effect is named" in shown.out
+    assert shown.err == ""
+    content = json.loads((tmp_path / "out.json").read_text())
+    assert content["stopped"] == "all_named"
+    assert [step["label"] for step in content["steps"]] == ["stribeck:1"]
+    assert {"purpose", "trajectory", "recording", "verdict", "open"} <= set(content["rounds"][1])
+    assert "Recording 1" in (tmp_path / "out.html").read_text()
+
+
+def test_a_failed_command_has_status_3_and_keeps_the_round(words, tmp_path, capsys):
+    record = f"'{sys.executable}' -c 'raise SystemExit(5)' {{trajectory}} {{recording}}"
+    assert main([*words, "--record", record, "--yes"]) == 3
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "status 5" in error
+    assert (tmp_path / "out" / "round-1" / "trajectory.csv").exists()
+    state = json.loads((tmp_path / "out" / "experiment.json").read_text())
+    assert state["stopped"] == "record_failed"
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--record", RECORD], "not a terminal"),
+        (["--record", "cp {trajectory}", "--yes"], "{recording}"),
+        (["--record", RECORD, "--yes", "--probe", "0.2"], "probe"),
+    ],
+)
+def test_invalid_requests_are_one_line_and_no_folder(words, tmp_path, capsys, more, message):
+    assert main([*words, *more]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "out").exists()
