@@ -23,7 +23,7 @@ from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.excitation.trajectory import MotionSamples, csv_text
 from lieid_casadi.experiments.purpose import Group, Purpose
 from lieid_casadi.identification import Fit, identify
-from lieid_casadi.identification.default_effects import JOINT_SIDE
+from lieid_casadi.identification.identify import JOINT_SIDE
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording, process
 
