@@ -82,9 +82,10 @@ def model_for(args: argparse.Namespace, robot: Robot, recordings: Sequence[Recor
         return Model(robot, args.effects)
     default = default_effects(robot, recordings, motor_side=args.motor_side)
     if default.reason:
+        delayed = " with the delay of the commands" if "command_delay" in default.names else ""
         output.show(
-            f"Effects: {', '.join(default.names)}. Rotor inertia (armature) is among them because "
-            f"{default.reason}; --effects states others."
+            f"Effects: {', '.join(default.names)}. Rotor inertia (armature){delayed} is among them "
+            f"because {default.reason}; --effects states others."
         )
     return Model(robot, default.names)
 

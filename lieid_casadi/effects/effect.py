@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, Protocol
 
@@ -129,6 +129,8 @@ class Coefficient:
         negative.
     limit : float
         Size that no real arm exceeds, also of a change. A diagnosis names no larger value.
+    prior : callable, optional
+        Mean and standard deviation that are known before any data, from the sampling rate, Hz.
     """
 
     name: str
@@ -139,6 +141,7 @@ class Coefficient:
     resolved_by: Literal["", "sample_time", "lead"] = ""
     opposes_motion: bool = False
     limit: float = np.inf
+    prior: Callable[[float], tuple[float, float]] | None = None
 
 
 @dataclass(frozen=True)

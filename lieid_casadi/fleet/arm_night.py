@@ -25,13 +25,12 @@ from lieid_casadi.fleet.recordings import local_copy
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import check_recordings
-from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.design_matrix import Design, rows_per_independent
 from lieid_casadi.identification.regression.least_squares import joint_factors
 from lieid_casadi.identification.uncertainty.covariance import prior_rows
-from lieid_casadi.identification.uncertainty.noise_model import RATE_OVER_CUTOFF
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.premises import PremiseCheck, check
-from lieid_casadi.recording import Processed, Recording, process, require_plausible_units
+from lieid_casadi.recording import Recording, process, require_plausible_units
 from lieid_casadi.recording.readers.registry import hash_of_file
 from lieid_casadi.robot.inertia import parameter_transport
 
@@ -62,7 +61,7 @@ def night_estimate(fit: Fit, recording: Recording, noise: Array) -> NightEstimat
     """
     segments, _ = center_temperature(process([recording], fit.processing), fit.temperature_mean)
     rows = Design(fit.compiled, segments).rows(fit.shapes, fit.parameters)
-    sizes = noise * np.sqrt(_rows_per_independent(segments[0]))
+    sizes = noise * np.sqrt(rows_per_independent(segments[0]))
     factors = joint_factors(
         rows, [np.full(len(j.torque), 1.0 / s) for j, s in zip(rows.joints, sizes, strict=True)]
     )
@@ -90,13 +89,6 @@ def night_estimate(fit: Fit, recording: Recording, noise: Array) -> NightEstimat
         misfit / root * sizes / noise,
         np.sqrt([factor.misfit(fit.values) for factor in factors]) / root * sizes / noise,
     )  # fmt: skip
-
-
-def _rows_per_independent(segment: Processed) -> float:
-    """Return the number of filtered rows per independent one."""
-    time = segment.filtered_time
-    rate = 1.0 / (time[1] - time[0]) if len(time) > 1 else 1.0
-    return float(max(1.0, rate / (RATE_OVER_CUTOFF * segment.cutoff)))
 
 
 def _prior(fit: Fit, effects: NDArray[np.intp]) -> Array:

@@ -274,6 +274,7 @@ def _version() -> str:
 
 JOINT_SIDE = ("coulomb", "viscous", "offset")
 MOTOR_SIDE = (*JOINT_SIDE, "armature")
+COMMANDED = (*MOTOR_SIDE, "command_delay")
 ENOUGH_ROWS = 1000  # that show where the torque of a recording comes from
 
 
@@ -292,7 +293,7 @@ def default_effects(
 
     Torque from motor currents or from the control law of position-controlled drives contains the
     torque that accelerates the rotors, which a sensor at the joint does not measure; ``motor_side``
-    states it for others.
+    states it for others. Commands are held until the next one, which is a delay.
 
     Examples
     --------
@@ -307,7 +308,7 @@ def default_effects(
     if np.isfinite(robot.torque_constants).any():
         return DefaultEffects(MOTOR_SIDE, "the robot states torque constants of its motors")
     if any(_from_law(robot, recording) for recording in recordings):
-        return DefaultEffects(MOTOR_SIDE, "torque follows from the control law of the drives")
+        return DefaultEffects(COMMANDED, "torque follows from the control law of the drives")
     return DefaultEffects(JOINT_SIDE)
 
 

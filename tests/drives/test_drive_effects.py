@@ -253,9 +253,21 @@ def test_load_friction_is_named_as_on_arms_with_torque():
     assert [(step.effect, step.joints) for step in found.steps] == [("load_friction", (1,))]
 
 
+def test_the_delay_of_a_joint_that_hardly_moves_is_that_of_the_hold():
+    """Its recording does not tell a delay from friction: without the prior it is 0.1 s."""
+    t = np.arange(0.0, 10.0, 0.02)
+    path = np.sin(t[:, None] * [1.7, 3.0] + [0.0, 1.0]) * [0.8, 0.05] + [0.0, 0.3]
+    noise = 1e-3 * np.random.default_rng(1).normal(size=path.shape)
+    command = path + 0.02 * np.cos(1.7 * t)[:, None] + noise
+    recording = lieid.Recording.from_arrays(t, path + noise[::-1], command=command)
+    fit, _ = fitted(with_torque(recording), "armature,command_delay")
+    assert fit.model.columns[-1].name == "command_delay.delta"
+    assert fit.effect_coefficients[-1] == pytest.approx(0.5 * 0.02 + 0.005, abs=0.005)
+
+
 def test_rotor_inertia_is_a_default_effect_where_torque_is_that_of_a_law(runs):
     plain = runs[0]
-    assert default_effects(ROBOT, [with_torque(plain)]).names[-1] == "armature"
+    assert default_effects(ROBOT, [with_torque(plain)]).names[3:] == ("armature", "command_delay")
     measured_torque = replace(with_torque(plain), tau=np.ones_like(plain.q))
     assert "armature" not in default_effects(ROBOT, [measured_torque]).names
     assert "armature" not in default_effects(TWO_LINK, [with_torque(plain)]).names

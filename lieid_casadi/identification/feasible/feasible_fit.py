@@ -31,7 +31,11 @@ from lieid_casadi.identification.feasible.problem import (
     reference_bodies,
 )
 from lieid_casadi.identification.regression.cross_validation import Fold, cross_validated_rms
-from lieid_casadi.identification.regression.design_matrix import Design, varying_columns
+from lieid_casadi.identification.regression.design_matrix import (
+    Design,
+    varying_columns,
+    with_priors,
+)
 from lieid_casadi.identification.regression.fixed_point import FitState, has_settled
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
@@ -218,7 +222,8 @@ def _follow_load(
             return state, True
         before = predicted
         rows = design.rows(start.shapes, parameters)
-        weighting = replace(start.weighting, factor=stacked(rows, start.weighting.rows))
+        factor = with_priors(stacked(rows, start.weighting.rows), design)
+        weighting = replace(start.weighting, factor=factor)
     return state, False
 
 

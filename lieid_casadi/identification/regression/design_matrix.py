@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.identification.regression.least_squares import Indices, JointRows, Rows
+from lieid_casadi.identification.regression.least_squares import (
+    Factor,
+    Indices,
+    JointRows,
+    Rows,
+    combine,
+)
 from lieid_casadi.identification.regression.segment_columns import effect_signals, effects_along
 from lieid_casadi.model import Model
 from lieid_casadi.recording.filtering import Window
@@ -229,3 +235,29 @@ class Design:
 def _torque(segment: Processed) -> Array:
     assert segment.tau is not None  # checked before identification
     return segment.tau
+
+
+def rows_per_independent(segment: Processed) -> float:
+    """Return the number of filtered rows per independent one (two per period of the cut-off)."""
+    time = segment.filtered_time
+    rate = 1.0 / (time[1] - time[0]) if len(time) > 1 else 1.0
+    return float(max(1.0, rate / (2.0 * segment.cutoff)))
+
+
+def with_priors(factor: Factor, design: Design) -> Factor:
+    """Return a factor of rows in units of the noise, with those of what is known before any data.
+
+    A prior counts as one independent row; filtered rows that depend on each other count as more
+    than they are, and the prior by the same factor.
+    """
+    model, first = design.model, design.segments[0]
+    own = [(p, c) for p in model.placements for c in p.effect.coefficients]
+    rows = []
+    for k, column in enumerate(model.base.kept - 10 * model.n):
+        prior = own[column][1].prior if column >= 0 else None
+        if prior is not None:
+            mean, spread = prior(first.recording.rate)
+            row = np.zeros(factor.r.shape[1])
+            row[[k, -1]] = np.array([1.0, mean]) * np.sqrt(rows_per_independent(first)) / spread
+            rows.append(row)
+    return combine([factor, Factor(np.array(rows), 0)], np.ones(2)) if rows else factor

@@ -9,12 +9,17 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.identification.regression.design_matrix import Design, varying_columns
+from lieid_casadi.identification.regression.design_matrix import (
+    Design,
+    varying_columns,
+    with_priors,
+)
 from lieid_casadi.identification.regression.least_squares import (
     ESTIMATORS,
     LeastSquaresSolution,
     Rows,
     Weighting,
+    ols,
     solve,
 )
 from lieid_casadi.identification.regression.shape_scan import ShapeScan
@@ -125,6 +130,8 @@ def _state(
     """Return the linear fit at given shapes and load."""
     rows = design.rows(shapes, links)
     weighting = estimator(rows)
+    if estimator is not ols:  # whose rows are not in units of the noise
+        weighting = replace(weighting, factor=with_priors(weighting.factor, design))
     solution = solve(weighting.factor)
     parameters = design.model.base.lift(solution.values, nominal_parameters(design.model))
     return FitState(shapes, rows, weighting, solution, parameters)
