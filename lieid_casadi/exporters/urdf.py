@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.isaaclab import isaac_joints
 from lieid_casadi.exporters.simulator_joints import (
     SimulatorJoint,
@@ -22,7 +23,10 @@ from lieid_casadi.exporters.simulator_joints import (
     simulator_joints,
 )
 from lieid_casadi.exporters.xml_text import Element, XmlText, attribute, comment
+from lieid_casadi.identification.feasible.certificate import position_range
 from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axes
+from lieid_casadi.messages import joints_text
 from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.description import STANDARD_GRAVITY
 from lieid_casadi.robot.geometry import pose, roll_pitch_yaw
@@ -37,6 +41,11 @@ from lieid_casadi.robot.inertia import (
 SHARE = 0.5  # of the largest possible share, if the rigidly attached links cannot keep all
 KEPT = 0.95  # below this fraction of the possible inertia they keep all
 ON_AXIS = 1e-12  # m
+POSES = 200
+UNCERTAIN = 0.5  # standard deviation of a joint's gravity load relative to it
+LEAST_LOAD = 0.02  # of the largest: loads of other joints are not examined
+LEAST_SHARE = 0.2  # of the gravity load of the robot's description
+SEEN = 1e-6  # N·m per unit of a direction that the recordings did not excite
 REACH = 1e3  # m, limit of prismatic joints without limits, which URDF requires
 ATTRIBUTES = (("armature", "armature"), ("damping", "damping"), ("friction", "frictionloss"))
 HEAD = """\
@@ -54,15 +63,51 @@ def urdf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
     from YAML gets a URDF written from its screws. The second result are notes.
 
     Raises `ExportError`: the fit's masses and inertias are not certified to be physically
-    consistent; the message has the command that makes a fit whose are.
+    consistent (the message has the command that makes a fit whose are), or the recordings did not
+    show the gravity load of a joint.
     """
     text, notes = urdf_text(fit)
+    check_gravity(fit)
     robot, name = fit.model.robot, file_name(fit.model.robot.name)
     return {
         f"{name}.urdf": with_ros2_control(text, robot).encode(),
         f"{name}_joints.xml": mjcf_snippet(fit, file=f"{name}_joints.xml").encode(),
         f"{name}_joints.yaml": isaac_joints(robot, simulator_joints(fit)).encode(),
     }, notes
+
+
+def check_gravity(fit: Fit) -> None:
+    """Refuse a fit whose gravity load the recordings did not show: controllers compensate by it.
+
+    That is a load, over random poses within the limits, whose standard deviation is above half of
+    its size or that contains directions which the recordings did not excite; or one that is much
+    smaller than that of the robot's description, as where the torque was gravity-compensated.
+    """
+    robot, n = fit.model.robot, fit.model.n
+    q = np.random.default_rng(0).uniform(*position_range(robot), (POSES, n))
+    columns = fit.compiled.rigid_base_regressor(q, 0.0 * q, 0.0 * q)
+    load = np.sqrt(np.mean((columns @ fit.values) ** 2, axis=0))
+    p = len(fit.values)
+    unit, variances, axes = scaled_axes(np.nan_to_num(fit.covariance[:p, :p]))
+    variances = np.maximum(variances, 0.0)
+    hidden = unit[:, None] * axes[:, variances < EXACT * float(variances[-1])]
+    known = unit[:, None] * axes * np.sqrt(variances)
+    std = np.sqrt(np.mean(np.sum((columns @ known) ** 2, axis=2), axis=0))
+    unseen = np.any(np.abs(columns @ (hidden / np.linalg.norm(hidden, axis=0))) > SEEN, axis=(0, 2))
+    loaded = load > LEAST_LOAD * float(load.max())
+    doubtful = loaded & (unseen | (std > UNCERTAIN * load))
+    if robot.has_inertia:
+        stated = np.abs(fit.compiled.gravity(q, robot.link_parameters))
+        stated = np.sqrt(np.mean(stated**2, axis=0))
+        doubtful |= (load < LEAST_SHARE * stated) & (stated > LEAST_LOAD * float(stated.max()))
+    if doubtful.any():
+        j = int(np.argmax(doubtful * (1.0 + load)))
+        raise ExportError(
+            f"the recordings did not show the gravity load of {joints_text(doubtful)} (joint "
+            f"{j + 1}: {load[j]:.3g} ± {std[j]:.2g} N·m over its range of positions): a URDF "
+            "without it makes gravity compensation wrong; check the torque signal (lieid check), "
+            "and identify from motion over more of the range"
+        )
 
 
 def urdf_text(fit: Fit) -> tuple[str, list[str]]:

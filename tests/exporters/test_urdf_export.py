@@ -316,3 +316,23 @@ def test_ros2_control_and_isaac_joints(tmp_path):
     assert joints["elbow"]["armature"] == pytest.approx(values["armature.I_a:2"])
     assert joints["elbow"]["effort_limit_sim"] == 15.0
     assert lieid.Robot.from_urdf(done.files[0]).n == 2
+
+
+@pytest.mark.parametrize("case", ["compensated", "small motion"])
+def test_a_gravity_load_that_the_recording_did_not_show_is_refused(case):
+    """Torque without gravity, and motion of a hundredth of a radian beside noise of 1 N·m."""
+    robot, t = lieid.robots.two_link(), np.arange(0.0, 20.0, 0.01)
+    size = 1.0 if case == "compensated" else 0.01
+    angle, rate = np.outer(t, [1.3, 2.1]), size * np.array([1.3, 2.1])
+    q, dq, ddq = size * np.sin(angle), rate * np.cos(angle), -rate * [1.3, 2.1] * np.sin(angle)
+    arm = lieid.compile(lieid.Model(robot))
+    tau = arm.inverse_dynamics(q, dq, ddq, robot.link_parameters)
+    noise = np.random.default_rng(0).normal(size=tau.shape)
+    if case == "compensated":
+        tau, noise = tau - arm.gravity(q, robot.link_parameters), 0.05 * noise
+    recording = lieid.Recording.from_arrays(t, q, dq, tau + noise)
+    bare = replace(robot, joints=tuple(replace(j, link=None) for j in robot.joints), source=None)
+    model = lieid.Model(robot if case == "compensated" else bare)
+    fit = lieid.identify(model, recording, method="feasible", processing=Processing(cutoff=8.0))
+    with pytest.raises(ExportError, match="did not show the gravity load of joint"):
+        lieid.export(fit, "unused", to="urdf")
