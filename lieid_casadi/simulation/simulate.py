@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,25 +50,36 @@ if TYPE_CHECKING:
 class Drift:
     """Simulated minus measured position at the ends of windows: RMS and 95 % (n,), rad.
 
-    NaN where a simulation left every range, or where there is none.
+    ``std`` (n,) is the standard error of the RMS over the windows. NaN where a simulation left
+    every range, or where there is none.
     """
 
     rms: Array
     p95: Array
+    std: Array
 
     @classmethod
     def of(cls, errors: Array) -> Drift:
         """Return the drift of errors (W, n)."""
-        return cls(np.sqrt(np.mean(errors**2, axis=0)), np.percentile(np.abs(errors), 95.0, axis=0))
+        squares, count = errors**2, len(errors)
+        rms = np.sqrt(np.mean(squares, axis=0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            std = squares.std(axis=0, ddof=min(1, count - 1)) / (2.0 * rms * np.sqrt(count))
+        std = np.where(rms > 0.0, std, rms) if count > 1 else np.full(rms.shape, np.nan)
+        return cls(rms, np.percentile(np.abs(errors), 95.0, axis=0), std)
 
     @classmethod
     def unknown(cls, n: int) -> Drift:
         """Return the drift of n joints that were not simulated."""
-        return cls(np.full(n, np.nan), np.full(n, np.nan))
+        return cls(*np.full((3, n), np.nan))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers as JSON holds them."""
-        return {"rms": numbers_or_none(self.rms), "p95": numbers_or_none(self.p95)}
+        return {
+            "rms": numbers_or_none(self.rms),
+            "p95": numbers_or_none(self.p95),
+            "rms_std": numbers_or_none(self.std),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +93,12 @@ class Simulation:
         Length of the windows, s.
     under : {"command", "torque"}
         Input of the simulation.
+    windows : int
+        Number of windows.
     drift : Drift
         At the ends of the windows.
+    nominal : Drift or None
+        The same of the robot's description: stated inertias, no effects; None if it states none.
     refitted : Drift or None
         The same of the fit's model, identified again from ``refitted_to``.
     without : tuple of (str, Drift)
@@ -103,7 +118,9 @@ class Simulation:
     joint_names: tuple[str, ...]
     window: float
     under: str
+    windows: int
     drift: Drift
+    nominal: Drift | None
     refitted: Drift | None
     without: tuple[tuple[str, Drift], ...]
     rms_whole: Array
@@ -120,7 +137,9 @@ class Simulation:
             "window": self.window,
             "under": self.under,
             "joints": list(self.joint_names),
+            "windows": self.windows,
             **self.drift.to_dict(),
+            "nominal": None if self.nominal is None else self.nominal.to_dict(),
             "rms_whole": numbers_or_none(self.rms_whole),
             "refitted": None if self.refitted is None else self.refitted.to_dict(),
             "without": [{"effect": name, **drift.to_dict()} for name, drift in self.without],
@@ -208,16 +227,24 @@ INPUTS = {"command": "commanded positions", "torque": "torques"}
 def drift_table(simulation: Simulation) -> Table:
     """Return the drift of each joint, in degrees."""
     s = simulation
-    columns = (s.drift.rms, s.drift.p95, s.rms_whole)
+    columns = [s.drift.rms, s.drift.std, s.drift.p95, s.rms_whole]
+    headings = ["joint", f"RMS after {s.window:g} s", "±", "95 %", "RMS over whole segments"]
+    if s.nominal is not None:
+        columns.insert(2, s.nominal.rms)
+        headings.insert(3, "nominal model")
     rows = [
         (f"{j + 1} {name}", *(_degrees(column[j]) for column in columns))
         for j, name in enumerate(s.joint_names)
     ]
+    plural = "" if s.windows == 1 else "s"
     return make_table(
-        f"Simulated − measured position, deg, under the recorded {INPUTS[s.under]}",
-        ("joint", f"RMS after {s.window:g} s", "95 %", "RMS over whole segments"),
+        f"Simulated − measured position, deg, under the recorded {INPUTS[s.under]}: "
+        f"{s.windows} window{plural}",
+        headings,
         rows,
-        note="after a window from a measured state; whole segments from their first state",
+        note="after a window from a measured state, with its standard error over the windows; the "
+        "nominal model has the stated inertias and no effects; whole segments from their first "
+        "state",
     )
 
 
@@ -342,6 +369,7 @@ def simulate(
     warnings = [w for s in segments for w in (*s.recording.warnings, *s.warnings)]
     report("windows", 0.1)
     parts = [integrator.windows(run) for run in runs]
+    errors = np.concatenate([part.end_errors for part in parts])
     without = []
     labels = sorted({p.effect.label for p in fit.model.placements}) if each_effect else []
     training = given if train is None else listed(train)
@@ -356,7 +384,9 @@ def simulate(
         joint_names=tuple(joint.name for joint in fit.model.robot.joints),
         window=window,
         under=chosen,
-        drift=Drift.of(np.concatenate([part.end_errors for part in parts])),
+        windows=len(errors),
+        drift=Drift.of(errors),
+        nominal=_nominal_drift(fit, runs),
         refitted=refitted,
         without=tuple(without),
         rms_whole=np.sqrt(np.mean(whole**2, axis=0)),
@@ -385,6 +415,28 @@ def _not_simulated(fit: Fit) -> list[LieidWarning]:
             text = f"{', '.join(labels)}: not part of the simulation; {why}"
             found.append(NotSimulatedWarning(text))
     return found
+
+
+def _nominal_drift(fit: Fit, runs: Sequence[Run]) -> Drift | None:
+    """Return the drift of the robot's description, whose inertias may not be stated."""
+    robot = fit.model.robot
+    if not robot.has_inertia:
+        return None
+    links = np.asarray(robot.link_parameters)
+    model = Model.of_placements(robot, [])
+    nominal = replace(
+        fit,
+        model=model,
+        parameters=links,
+        values=model.base.combination @ links,
+        shapes=np.zeros(0),
+    )
+    try:
+        require_positive_mass_matrix(nominal, runs)
+    except ModelError:
+        return Drift.unknown(robot.n)
+    integrator = Integrator(nominal, runs[0].under)
+    return Drift.of(np.concatenate([integrator.windows(run).end_errors for run in runs]))
 
 
 def _drift_without(label: str, fit: Fit, train: Sequence[Recording], runs: Sequence[Run]) -> Drift:

@@ -16,6 +16,7 @@ from lieid_casadi.errors import ModelError, RecordingError
 from lieid_casadi.exporters.mjcf import mjcf_text
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.simulation import mujoco_callback, window_drift
+from lieid_casadi.simulation.simulate import Drift
 
 ROBOT = lieid.robots.two_link().with_drives(Drive(stiffness=60.0, damping=4.0))
 MUJOCO_STEP = 5e-4  # s
@@ -100,6 +101,14 @@ def test_window_drift_is_that_of_simulate():
     np.testing.assert_allclose(beside.drift.rms, complete.drift.rms)
     assert (beside.windows, beside.under, beside.reason) == (5, "command", "")
     assert window_drift(fit, recording, window=0.5, most=2).windows == 2
+
+
+def test_the_standard_error_is_the_scatter_of_the_rms():
+    random = np.random.default_rng(0)
+    drifts = [Drift.of(random.normal(size=(40, 1))) for _ in range(2000)]
+    scatter = np.std([drift.rms[0] for drift in drifts])
+    assert np.mean([drift.std[0] for drift in drifts]) == pytest.approx(scatter, rel=0.1)
+    assert np.isnan(Drift.of(np.ones((1, 2))).std).all()
 
 
 def test_window_drift_states_why_there_is_none():
@@ -192,9 +201,14 @@ def test_command(tmp_path, capsys):
     result = json.loads((tmp_path / "sim.json").read_text())
     assert result["window"] == 0.5
     assert len(result["rms"]) == len(result["p95"]) == len(result["rms_whole"]) == 2
+    assert result["windows"] == 5
+    assert min(result["nominal"]["rms"]) > 5.0 * max(result["rms"])  # it has no friction
+    assert all(0.0 < std < rms for std, rms in zip(result["rms_std"], result["rms"], strict=True))
     assert [part["effect"] for part in result["without"]] == ["armature", "coulomb", "viscous"]
     assert lieid.Recording.load(tmp_path / "sim.csv").n == 2
-    assert "deg, under the recorded commanded" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "deg, under the recorded commanded positions: 5 windows" in shown
+    assert "nominal model" in " ".join(shown.split())
     assert main([*words, "--window", "-1"]) == 2
 
 
