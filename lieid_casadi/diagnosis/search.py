@@ -97,8 +97,7 @@ def search(
         rows = rows.with_candidates(refined)
         paths = Paths(*_weighted(rows, scale, prior), nothing)
     rest = _residual_beside(paths, whole, rows, scale)
-    smooth = smooth_candidates(rows, rest, scale)
-    smooth += smooth_candidates(rows, _residual_beside(paths, (), rows, scale), scale)
+    smooth = smooth_candidates(rows, [rest, _residual_beside(paths, (), rows, scale)], scale)
     known = {
         c.label: c for c in smooth if c.label not in refused and (joints is None or joints[c.joint])
     }

@@ -26,36 +26,41 @@ FIELDS = {"q": "q", "dq": "dq", "ddq": "ddq", "load": "load", "temp": "temperatu
 OTHERS = ("q", "dq")  # signals of other joints that are tried
 
 
-def smooth_candidates(rows: Rows, residual: Sequence[Array], spread: Array) -> list[Candidate]:
-    """Return the smooth functions that a residual follows most on each joint.
+def smooth_candidates(
+    rows: Rows, residuals: Sequence[Sequence[Array]], spread: Array
+) -> list[Candidate]:
+    """Return the smooth functions that one of several residuals follows most on each joint.
 
-    Parameters
-    ----------
-    rows : Rows
-    residual : sequence of (R_j,)
-        Of each joint, N·m.
-    spread : (n,)
-        Standard deviation of the noise of each joint, N·m.
+    Each residual has the values (R_j,) of every joint; ``spread`` (n,) is the standard deviation of
+    the noise, N·m.
     """
-    found = []
-    moves = {c.joint for c in rows.columns.owners}
-    for joint in sorted(moves):
-        weights = rows.weights(spread)[joint]
-        basis, _ = np.linalg.qr(rows.model[joint] * weights[:, None])
+    found: dict[str, Candidate] = {}
+    for joint in sorted({c.joint for c in rows.columns.owners}):
+        weights = rows.weights(spread)[joint][:, None]
+        basis, _ = np.linalg.qr(rows.model[joint] * weights)
+        targets = np.column_stack([r[joint] for r in residuals]) * weights
+        targets -= basis @ (basis.T @ targets)
         polynomials = dict(_polynomials(rows, joint))
-        scores = {}
-        for signals in (*combinations(polynomials, 1), *combinations(polynomials, 2)):
-            parts = [polynomials[s] for s in signals]
-            columns = np.hstack(parts)
-            if len(parts) == 2:
-                products = np.einsum("ra,rb->rab", *parts).reshape(len(columns), -1)
-                columns = np.hstack([columns, products])
-            gain = _gain(columns * weights[:, None], residual[joint] * weights, basis)
-            scores[signals] = gain - columns.shape[1] * np.log(max(len(weights), 2))
         for count in (1, 2):
-            own = sorted((s for s in scores if len(s) == count), key=lambda s: -scores[s])
-            found += [_candidate(rows, s, joint) for s in own[:PER_JOINT] if scores[s] > 0.0]
-    return found
+            signals = list(combinations(polynomials, count))
+            scores = np.zeros((len(signals), len(residuals)))
+            for k, names in enumerate(signals):
+                columns = _products([polynomials[name] for name in names]) * weights
+                cost = columns.shape[1] * np.log(max(len(weights), 2))
+                scores[k] = _gains(columns, targets, basis) - cost
+            for own in scores.T:
+                best = [k for k in np.argsort(-own)[:PER_JOINT] if own[k] > 0.0]
+                wanted = [_candidate(rows, signals[k], joint) for k in best]
+                found |= {candidate.label: candidate for candidate in wanted}
+    return list(found.values())
+
+
+def _products(parts: Sequence[Array]) -> Array:
+    """Return the polynomials of one or two signals, and their products."""
+    if len(parts) == 1:
+        return parts[0]
+    products = np.einsum("ra,rb->rab", *parts).reshape(len(parts[0]), -1)
+    return np.hstack([*parts, products])
 
 
 def _polynomials(rows: Rows, joint: int) -> Iterator[tuple[str, Array]]:
@@ -87,13 +92,12 @@ def _measured(rows: Rows) -> bool:
     return all(s.segment.temperature is not None for s in rows.signals)
 
 
-def _gain(columns: Array, residual: Array, basis: Array) -> float:
-    """Return the fall of the sum of squares of a residual by columns outside a basis."""
+def _gains(columns: Array, targets: Array, basis: Array) -> Array:
+    """Return the fall of the sum of squares of each target by columns outside a basis."""
     rest = columns - basis @ (basis.T @ columns)
-    target = residual - basis @ (basis.T @ residual)
-    gram, products = rest.T @ rest, rest.T @ target
+    gram, products = rest.T @ rest, rest.T @ targets
     gram[np.diag_indices_from(gram)] += RIDGE * np.maximum(np.sum(columns**2, axis=0), 1e-300)
-    return float(products @ np.linalg.solve(gram, products))
+    return np.asarray(np.einsum("kt,kt->t", products, np.linalg.solve(gram, products)))
 
 
 def _candidate(rows: Rows, signals: Sequence[str], joint: int) -> Candidate:
