@@ -172,7 +172,10 @@ def steps_of(
 def groups_of(accepted: Sequence[Accepted]) -> list[int]:
     """Return the group of each effect, from 1: the same effect on single joints is one group."""
     names = [
-        a.candidate.name if len(a.candidate.joints) == 1 else a.placement.label for a in accepted
+        a.candidate.name
+        if len(a.candidate.joints) == 1 and a.candidate.name != SMOOTH
+        else a.placement.label
+        for a in accepted
     ]
     order = list(dict.fromkeys(names))
     return [order.index(name) + 1 for name in names]
