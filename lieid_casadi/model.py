@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -18,7 +19,7 @@ from lieid_casadi.effects.placement import labels
 from lieid_casadi.effects.registry import REGISTER, Library, usable
 from lieid_casadi.errors import LieidWarning, ModelError, UnusableEffectWarning
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.inertia import LINK_PARAMETER_UNITS
+from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES, LINK_PARAMETER_UNITS
 
 
 def as_model(source: Model | Robot) -> Model:
@@ -167,28 +168,12 @@ class Model:
     @cached_property
     def columns(self) -> tuple[Parameter, ...]:
         """The effects' linear coefficients, in the order of their columns."""
-        return tuple(
-            self._parameter(p, c.name, c.unit, lower=c.lower, upper=c.upper)
-            for p in self.placements
-            for c in p.effect.coefficients
-        )
+        return self._of("coefficients")
 
     @cached_property
     def shapes(self) -> tuple[Parameter, ...]:
         """The effects' shape parameters."""
-        return tuple(
-            self._parameter(
-                p,
-                s.name,
-                s.unit,
-                lower=s.lower,
-                upper=s.upper,
-                initial=s.initial,
-                fitted=s.data is None,
-            )
-            for p in self.placements
-            for s in p.effect.shapes
-        )
+        return self._of("shapes")
 
     @property
     def initial_shapes(self) -> NDArray[np.float64]:
@@ -198,11 +183,7 @@ class Model:
     @cached_property
     def states(self) -> tuple[Parameter, ...]:
         """What effects with memory carry along, in the order of the state vector."""
-        return tuple(
-            self._parameter(p, s.name, s.unit, initial=s.initial)
-            for p in self.placements
-            for s in p.effect.states
-        )
+        return self._of("states")
 
     @property
     def initial_states(self) -> NDArray[np.float64]:
@@ -212,8 +193,6 @@ class Model:
     @cached_property
     def link_parameters(self) -> tuple[Parameter, ...]:
         """The 10 n link parameters."""
-        from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
-
         return tuple(
             Parameter(name, joint, unit)
             for joint in range(self.n)
@@ -302,20 +281,21 @@ class Model:
                 rates += p.effect.state_rates(signals.of(p.joint, p.source, state), shape)
         return ca.vertcat(*rates)
 
-    def _parameter(
-        self,
-        p: Placement,
-        name: str,
-        unit: str,
-        *,
-        lower: float = -np.inf,
-        upper: float = np.inf,
-        initial: float = 0.0,
-        fitted: bool = True,
-    ) -> Parameter:
-        """Return a parameter of a placed effect."""
-        label, unit = f"{p.effect.label}.{name}", _unit(unit, p, self.robot)
-        return Parameter(label, p.joint, unit, lower, upper, initial, fitted)
+    def _of(self, kind: Literal["coefficients", "shapes", "states"]) -> tuple[Parameter, ...]:
+        """Return the parameters of one kind of all placed effects."""
+        return tuple(
+            Parameter(
+                f"{p.effect.label}.{x.name}",
+                p.joint,
+                _unit(x.unit, p, self.robot),
+                lower=getattr(x, "lower", -np.inf),
+                upper=getattr(x, "upper", np.inf),
+                initial=getattr(x, "initial", 0.0),
+                fitted=getattr(x, "data", None) is None,
+            )
+            for p in self.placements
+            for x in getattr(p.effect, kind)
+        )
 
     def _named(
         self, shapes: ca.SX, states: ca.SX | None

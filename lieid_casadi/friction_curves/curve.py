@@ -32,7 +32,7 @@ from lieid_casadi.friction_curves.matching import (
 )
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import center_temperature
-from lieid_casadi.identification.recording_checks import Source
+from lieid_casadi.identification.recording_checks import Source, check_recordings
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
@@ -291,24 +291,27 @@ def friction_curve(
     mean = arm.temperature_mean if isinstance(arm, Fit) else None
     segments, mean = center_temperature(process(given, processing), mean)
     found += [w for s in segments for w in s.warnings]
-    motion = _MatchedMotion(segments, match(segments, joint, name=_name(given)), joint)
+    names = ", ".join(r.name for r in given if r.name) or "recording"
+    matching = match(segments, joint, name=names)
     source: LoadSource = load or ("model" if isinstance(arm, Fit) else "measured")
     rigid = [_rigid(compiled, s, links)[:, joint] for s in segments]
-    series = rigid if source == "model" else motion.measured_load()
+    series = rigid if source == "model" else _measured_load(segments, matching, joint)
     remaining = [
         _torque(s)[:, joint] - x - _armature(arm, joint) * s.ddq[:, joint]
         for s, x in zip(segments, rigid, strict=True)
     ]
-    mismatch = float("nan") if links is None else _rms(motion.half_sum(remaining))
-    found += _load_warnings(mismatch, _rms(motion.half_sum(rigid)), joint, source)
-    speed, load_torque = motion.matching.speed, motion.half_sum(series)
+    remaining_filtered = _filtered(segments, remaining)
+    mismatch = float("nan") if links is None else _rms(matching.half_sum(remaining_filtered))
+    size = _rms(matching.half_sum(_filtered(segments, rigid)))
+    found += _load_warnings(mismatch, size, joint, source)
+    speed, load_torque = matching.speed, matching.half_sum(_filtered(segments, series))
     data = CurveData(
         robot=robot,
         segments=segments,
         load=tuple(_in_joint(x, joint, robot.n) for x in series),
-        matching=motion.matching,
-        groups=group_pairs(speed, load_torque, motion.matching.stretch),
-        friction=motion.half_difference(remaining),
+        matching=matching,
+        groups=group_pairs(speed, load_torque, matching.stretch),
+        friction=matching.half_difference(remaining_filtered),
         temperature_mean=mean,
     )
     return FrictionCurve(
@@ -321,8 +324,8 @@ def friction_curve(
         std=standard_errors(
             data.groups,
             data.friction,
-            motion.matching.stretch,
-            motion.matching.samples,
+            matching.stretch,
+            matching.samples,
             np.column_stack([speed, np.abs(load_torque)]),
         ),
         count=data.groups.count,
@@ -335,39 +338,26 @@ def friction_curve(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _MatchedMotion:
-    """Segments with the matched pairs of instants of one joint."""
+def _filtered(segments: Sequence[Processed], series: Sequence[Array]) -> Array:
+    return np.concatenate([s.filter(x) for s, x in zip(segments, series, strict=True)])
 
-    segments: tuple[Processed, ...]
-    matching: Matching
-    joint: int
 
-    def half_sum(self, series: Sequence[Array]) -> Array:
-        return self.matching.half_sum(self._filtered(series))
+def _measured_load(segments: Sequence[Processed], matching: Matching, joint: int) -> list[Array]:
+    """Return the mean torque of both directions, interpolated by position (K,) per segment.
 
-    def half_difference(self, series: Sequence[Array]) -> Array:
-        return self.matching.half_difference(self._filtered(series))
-
-    def _filtered(self, series: Sequence[Array]) -> Array:
-        return np.concatenate([s.filter(x) for s, x in zip(self.segments, series, strict=True)])
-
-    def measured_load(self) -> list[Array]:
-        """Return the mean torque of both directions, interpolated by position (K,) per segment.
-
-        Each segment uses its own pairs, or those of all segments if it has none.
-        """
-        mean = self.half_sum([_torque(s)[:, self.joint] for s in self.segments])
-        ends = np.cumsum([0, *(len(s.filtered_time) for s in self.segments)])
-        first = self.matching.forward.indices
-        loads = []
-        for segment, a, b in zip(self.segments, ends[:-1], ends[1:], strict=True):
-            own = (first >= a) & (first < b)
-            own = own if own.any() else np.ones(len(first), dtype=bool)
-            order = np.argsort(self.matching.position[own])
-            position, value = self.matching.position[own][order], mean[own][order]
-            loads.append(np.interp(segment.q[:, self.joint], position, value))
-        return loads
+    Each segment uses its own pairs, or those of all segments if it has none.
+    """
+    mean = matching.half_sum(_filtered(segments, [_torque(s)[:, joint] for s in segments]))
+    ends = np.cumsum([0, *(len(s.filtered_time) for s in segments)])
+    first = matching.forward.indices
+    loads = []
+    for segment, a, b in zip(segments, ends[:-1], ends[1:], strict=True):
+        own = (first >= a) & (first < b)
+        own = own if own.any() else np.ones(len(first), dtype=bool)
+        order = np.argsort(matching.position[own])
+        position, value = matching.position[own][order], mean[own][order]
+        loads.append(np.interp(segment.q[:, joint], position, value))
+    return loads
 
 
 def _check(robot: Robot, recordings: Sequence[Recording], joint: int) -> None:
@@ -375,15 +365,7 @@ def _check(robot: Robot, recordings: Sequence[Recording], joint: int) -> None:
         raise ModelError(f"no joint {joint + 1}; {robot.name} has joints 1 to {robot.n}")
     if not recordings:
         raise RecordingError("no recordings given; expected at least one")
-    for recording in recordings:
-        name = recording.name or "recording"
-        if recording.n != robot.n:
-            raise ModelError(f"{name}: {recording.n} joints; robot {robot.name!r} has {robot.n}")
-        if recording.tau is None:
-            raise ModelError(
-                f"{name}: no torque; expected columns tau1…tau{robot.n}, or currents and torque "
-                "constants"
-            )
+    check_recordings(Model(robot), recordings)
 
 
 def _link_parameters(arm: Robot | Fit) -> Array | None:
@@ -441,10 +423,6 @@ def _rms(values: Array) -> float:
 def _torque(segment: Processed) -> Array:
     assert segment.tau is not None  # checked where recordings come in
     return segment.tau
-
-
-def _name(recordings: Sequence[Recording]) -> str:
-    return ", ".join(r.name for r in recordings if r.name) or "recording"
 
 
 def _unique(found: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.triangular_factors import triangular
 from lieid_casadi.errors import IdentificationError, LieidWarning, NominalInertiaWarning, NoSolution
-from lieid_casadi.identification.regression.least_squares import Factor
+from lieid_casadi.identification.regression.least_squares import Factor, unit_columns
 from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import body_inertia, link_parameters, pseudo_inertia
 from lieid_casadi.robot.robot import Robot
@@ -206,9 +206,8 @@ def _density(model: Model, factor: Factor, stated: Array, spheres: Array) -> flo
     columns = r @ combination
     matrix = np.column_stack([columns[:, :links] @ spheres.ravel(), columns[:, links:]])
     target = z - columns[:, :links] @ stated.ravel()
-    scale = np.linalg.norm(matrix, axis=0)
-    scale[scale == 0.0] = 1.0
-    best = np.linalg.lstsq(matrix / scale, target, rcond=1e-9)[0][0] / scale[0]
+    scaled, scale = unit_columns(matrix)
+    best = np.linalg.lstsq(scaled, target, rcond=1e-9)[0][0] / scale[0]
     return float(np.clip(best, *DENSITY))
 
 

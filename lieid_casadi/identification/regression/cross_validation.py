@@ -13,6 +13,7 @@ from lieid_casadi.identification.regression.least_squares import (
     Factor,
     Rows,
     combine,
+    unit_columns,
 )
 
 Estimate = Callable[[Factor], Array]
@@ -55,9 +56,8 @@ def with_whole_fit(rest: Factor, held: Factor, values: Array) -> Factor:
     information of all rows. What a fit cannot determine is in its covariance.
     """
     whole = combine([rest, held], [1.0, 1.0]).r[:, :-1]
-    scale = np.linalg.norm(whole, axis=0)
-    scale[scale == 0.0] = 1.0
-    u, sizes, vt = np.linalg.svd(whole / scale, full_matrices=False)
+    scaled, scale = unit_columns(whole)
+    u, sizes, vt = np.linalg.svd(scaled, full_matrices=False)
     excited = sizes > RANK_TOLERANCE * sizes.max(initial=0.0)
     along = rest.r[:, :-1] @ ((vt[excited].T / sizes[excited]) / scale[:, None])
     parts, directions = np.linalg.eigh(along.T @ along)

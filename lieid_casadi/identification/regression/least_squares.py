@@ -148,12 +148,18 @@ def combine(factors: Sequence[Factor], weights: Sequence[float] | Array) -> Fact
     return Factor(triangle.r, sum(f.rows for f in factors))
 
 
+def unit_columns(matrix: Array) -> tuple[Array, Array]:
+    """Return columns divided by their norms, and the norms; 1 for columns of zeros."""
+    norms = np.linalg.norm(matrix, axis=0)
+    norms[norms < VANISHING] = 1.0
+    return matrix / norms, norms
+
+
 def solve(factor: Factor) -> LeastSquaresSolution:
     """Return the least-squares solution, of minimum norm where it is not unique."""
     r, z = factor.r[:, :-1], factor.r[:, -1]
-    scale = np.linalg.norm(r, axis=0)
-    scale[scale < VANISHING] = 1.0
-    u, sizes, vt = np.linalg.svd(r / scale, full_matrices=False)
+    scaled, scale = unit_columns(r)
+    u, sizes, vt = np.linalg.svd(scaled, full_matrices=False)
     excited = sizes > RANK_TOLERANCE * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), bool)
     inverse = (vt[excited].T / sizes[excited]) / scale[:, None]
     values = inverse @ (u[:, excited].T @ z)

@@ -32,6 +32,7 @@ from lieid_casadi.identification.regression.least_squares import (
     Rows,
     combine,
     joint_factors,
+    unit_columns,
 )
 from lieid_casadi.identification.regression.segment_columns import (
     effect_signals,
@@ -237,9 +238,8 @@ class WeightedProjection:
         fixed = np.setdiff1d(np.arange(rows.count), varying)
         factor = combine(joint_factors(rows), self.weights)
         r = factor.r[:, fixed]
-        scale = np.linalg.norm(r, axis=0)
-        scale[scale == 0.0] = 1.0
-        u, sizes, vt = np.linalg.svd(r / scale, full_matrices=False)
+        scaled, scale = unit_columns(r)
+        u, sizes, vt = np.linalg.svd(scaled, full_matrices=False)
         used = sizes > RANK_TOLERANCE * sizes.max(initial=0.0)
         basis = np.zeros((rows.count, int(used.sum())))
         basis[fixed] = (vt[used].T / sizes[used]) / scale[:, None]

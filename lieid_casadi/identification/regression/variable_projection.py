@@ -11,33 +11,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.effects.effect import DataRange
+from lieid_casadi.effects.effect import DataRange, Shape
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.least_squares import Rows
-from lieid_casadi.model import Model
+from lieid_casadi.identification.regression.least_squares import Rows, unit_columns
+from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Processed
 
 AT_BOUND = 1e-3  # of the range: a shape nearer to its end counts as at the bound
 TAIL = 0.5  # percent of the samples beyond either end of the range of a signal
-
-
-class Bounded(Protocol):
-    """A quantity with finite bounds, such as a `Shape` or a `Parameter`."""
-
-    @property
-    def lower(self) -> float:
-        """Lower bound."""
-
-    @property
-    def upper(self) -> float:
-        """Upper bound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +38,7 @@ class ShapeRange:
     upper: Array
 
     @classmethod
-    def of(cls, parameters: Sequence[Bounded]) -> ShapeRange:
+    def of(cls, parameters: Sequence[Shape | Parameter]) -> ShapeRange:
         """Return the ranges of parameters."""
         return cls(
             np.array([p.lower for p in parameters], dtype=float),
@@ -298,8 +285,7 @@ def _weighted_problem(
         return weighted(shape_columns(design, values, every, links))[:, free]
 
     fixed = weighted(_fixed_columns(design, rows))
-    scale = np.linalg.norm(fixed, axis=0)
-    basis, _ = np.linalg.qr(fixed / np.where(scale > 0.0, scale, 1.0))
+    basis, _ = np.linalg.qr(unit_columns(fixed)[0])
     whole = resolved_range(design)
     return SeparableProblem(
         columns=columns,

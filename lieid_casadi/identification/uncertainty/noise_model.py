@@ -25,6 +25,7 @@ from scipy.stats import chi2
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.identification.regression.fixed_point import FitState
+from lieid_casadi.identification.regression.least_squares import unit_columns
 from lieid_casadi.identification.regression.segment_columns import effect_signals
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.processed import Processed
@@ -282,8 +283,7 @@ def explainable(residual: Array, columns: Array) -> float:
     count, width = columns.shape
     if count < 3 * width or total == 0.0:
         return 0.0
-    norms = np.linalg.norm(columns, axis=0)
-    scaled = columns / np.where(norms > 0.0, norms, 1.0)
+    scaled, _ = unit_columns(columns)
     rest = residual - scaled @ np.linalg.lstsq(scaled, residual, rcond=1e-6)[0]
     part = 1.0 - float(np.sum(rest**2)) / total * count / (count - width)
     return float(np.clip(part, 0.0, MOST_EXPLAINABLE))
