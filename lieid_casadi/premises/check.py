@@ -45,7 +45,7 @@ LEAST_MOVING = 0.1
 #: Factor by which a correction may increase the error of a joint and still be certain.
 WORSE = 1.5
 #: Instants with which hypotheses are compared, and with which the best one is confirmed.
-COMPARED, CONFIRMED = 300, 1500
+COMPARED, CONFIRMED = 200, 1500
 #: Least decrease of the score on the compared instants for a hypothesis to be confirmed, and the
 #: number of hypotheses for which that is tried.
 WORTH_CONFIRMING, CONFIRMATIONS = -0.1, 4

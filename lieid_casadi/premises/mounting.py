@@ -42,6 +42,8 @@ def alternatives(screen: Screen) -> Iterator[Alternative]:
             low, best = found
         else:
             step /= 2.5
+            if best is start and step < np.radians(LEAST_TURN):
+                return
     best = _snapped(best)
     gravity = size * best
     rpy = base_rpy(gravity)

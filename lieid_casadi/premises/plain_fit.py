@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.premises.rigid_columns import Rigid
 from lieid_casadi.recording import Processing, Recording, process
 
 Mask = NDArray[np.bool_]
@@ -31,7 +30,7 @@ Index = NDArray[np.intp]
 PARTS, BLOCK_SECONDS = 4, 1.5
 #: Own columns of a joint: rotor inertia, Coulomb, viscous friction, offset; and friction of the
 #: last two joints, which often share a gear, on the sum and difference of their motions.
-OWN = 7
+OWN, FRICTION = 7, [1, 2, 4, 5, 6]
 #: Ridge on columns of unit size: directions that the motion does not excite get no weight.
 RIDGE = 1e-6
 #: Least RMS error that a joint is weighted by, as part of its torque.
@@ -97,6 +96,14 @@ class Samples:
         """RMS (n,) of the torques that are fitted about their means, N·m."""
         used = zip(self.tau.T, self.used.T, strict=True)
         return np.maximum([np.std(tau[at]) for tau, at in used], 1e-9)
+
+    @cached_property
+    def own_power(self) -> Array:
+        """Mean power (n, F) of the joint's own friction columns, relative to that of its torque."""
+        used = self.dq.T * self.used.T
+        size = np.mean(np.abs(self.tau.T * used), axis=1) + 1e-12
+        power = np.einsum("jkt,jt->jk", self.own[:, FRICTION], used) / len(self.t)
+        return np.asarray(power / size[:, None])
 
     @cached_property
     def without_own(self) -> list[tuple[Array, Array, Array]]:
@@ -275,9 +282,9 @@ class StatedFit:
     share: Array
 
 
-def stated_fit(rigid: Rigid, gravity: Array, parameters: Array, s: Samples) -> StatedFit:
-    """Return the fit with stated link parameters (10 n,) and gravity (3,) in the base frame."""
-    torque = np.einsum("jkn,k->jn", rigid.columns(gravity), parameters)
+def stated_fit(columns: Array, parameters: Array, s: Samples) -> StatedFit:
+    """Return the fit with rigid columns (n, 10 n, N) and stated link parameters (10 n,)."""
+    torque = parameters @ columns
     result = []
     for j, (unit, inverse, y) in enumerate(s.without_own):
         stated = torque[j, s.used[:, j]]

@@ -12,6 +12,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.premises.correction import Correction
 from lieid_casadi.premises.plain_fit import (
+    FRICTION,
     OWN,
     FreeFit,
     Samples,
@@ -28,7 +29,6 @@ LEAST_RELATIVE = 1e-4
 #: Least part of a joint's power that is friction, and of its standard deviation (jackknife), from
 #: which the sign of friction is clear.
 LEAST_POWER, CLEAR = 0.05, 5.0
-FRICTION = [1, 2, 4, 5, 6]  # own columns that are friction
 #: Hypotheses whose rigid columns are computed at once: a call costs as much as some 300 instants.
 AT_ONCE = 12
 
@@ -140,15 +140,13 @@ class Screen:
             stay = correction.positions_stay
             rigid = self.rigid if stay else rigid_columns(self.robot, *self._motion(correction))
         gravity = self.gravity if correction.gravity is None else correction.gravity
+        columns = rigid.columns(gravity)
         stated = None
         if self.parameters is not None:
-            stated = stated_fit(rigid, gravity, self.parameters, s)
-        given = equations(rigid.columns(gravity), s, parts=self.parts)
-        fitted = free_fit(given)
+            stated = stated_fit(columns, self.parameters, s)
+        fitted = free_fit(equations(columns, s, parts=self.parts))
         own = fitted.without[:, 10 * self.n :].reshape(-1, self.n, OWN)[:, :, FRICTION]
-        power = np.einsum("pjk,jkt->pjt", own, s.own[:, FRICTION]) * s.dq.T
-        size = np.mean(np.abs(s.tau * s.dq) * s.used, axis=0) + 1e-12
-        friction = np.mean(power * s.used.T, axis=2) / size
+        friction = np.einsum("pjk,jk->pj", own, s.own_power)
         return Errors(fitted, stated, s.spread, friction)
 
     def _motion(self, correction: Correction) -> tuple[Array, Array, Array]:

@@ -48,7 +48,7 @@ def delays(screen: Screen) -> Iterator[Alternative]:
         around = DELAYS[k - 1 : k + 2]
     else:
         around = DELAYS[max(k - 1, 0) : k + 2]
-    late = best_on(score, np.sort(np.r_[around, 0.5 * (around[1:] + around[:-1])]), rounds=3)
+    late = best_on(score, np.sort(np.r_[around, 0.5 * (around[1:] + around[:-1])]), rounds=2)
     if abs(late) < LEAST_DELAY:
         return
     words = "late" if late > 0.0 else "early"
