@@ -4,30 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
-from lieid_casadi.discrimination.discrimination import Discrimination, RivalPair
+from lieid_casadi.discrimination.discrimination import Discrimination
 from lieid_casadi.discrimination.motion_search import (
-    FeasibleMotions,
     SearchedMotion,
-    best_starts,
     feasible_motions,
     independent_rate,
     random_search,
 )
-from lieid_casadi.discrimination.rival_effects import (
-    RivalEffects,
-    groups_of,
-    noncentrality,
-    noncentrality_needed,
-    rival_pairs,
-    separable_pairs,
-)
+from lieid_casadi.discrimination.rival_effects import RivalEffects, groups_of
 from lieid_casadi.errors import ExcitationError, ModelError
 from lieid_casadi.excitation.checks import MARGIN, default_limits, verify
 from lieid_casadi.excitation.limits import Limit, motion_range
@@ -144,109 +134,54 @@ def discriminate(
         robot, arm, motion_range(robot, acceleration, margin=margin), limits,
         duration=duration, harmonics=harmonics, samples=samples, start_pose=start_pose,
     )  # fmt: skip
-    groups = groups_of(effects, sizes or {})
-    rate_of_samples = independent_rate(fit, recordings)
-    rivals = [
+    samples_per_second = independent_rate(fit, recordings)
+    groups = [
         RivalEffects(
-            fit, group, sizes or {}, independent_rate=rate_of_samples,
-            duration=duration, velocity=feasible.range.velocity,
+            fit, group, sizes or {}, independent_rate=samples_per_second,
+            duration=duration, velocity=feasible.range.velocity, level=level,
         )
-        for group in groups
+        for group in groups_of(effects, sizes or {})
     ]  # fmt: skip
     random = np.random.default_rng([seed, 20])
     drawn = [feasible.drawn(random) for _ in range(starts)]
-    first = [feasible.motion(z) for z in drawn[:TRIED]]
-    separable = []
-    for group in rivals:
-        group.assign_sizes(first)
-        tried = [group.columns_along(motion) for motion in first]
-        separable.append(separable_pairs(group, tried))
-    criterion = _WorstPair.of(rivals, feasible, separable, level)
+    for group in groups:
+        group.prepare([feasible.motion(z) for z in drawn[:TRIED]])
+
+    def criterion(z: Array) -> float:
+        motion = feasible.motion(z)
+        return min(group.worst(motion) for group in groups)
+
     values = []
     for k, z in enumerate(drawn):
         progress("random motions", 0.3 * k / starts)
         values.append(criterion(z))
-    refined = _refined(
-        criterion, feasible, [drawn[k] for k in best_starts(values, REFINED)],
-        evaluations=max((evaluations - starts) // REFINED, 1), random=random, progress=progress,
-    )  # fmt: skip
+    refined: list[SearchedMotion] = []
+    for k, start in enumerate(np.argsort(values)[::-1][:REFINED]):
+        progress(f"refine {k + 1} of {REFINED}", 0.3 + 0.7 * k / REFINED)
+        budget = max((evaluations - starts) // REFINED, 1)
+        refined.append(
+            random_search(criterion, feasible, drawn[start], evaluations=budget, random=random)
+        )
+        if refined[-1].interrupted:
+            break
     best, violation = feasible.verified(max(refined, key=lambda motion: motion.value).z)
-    pairs: list[RivalPair] = []
-    for group, apart in zip(rivals, separable, strict=True):
-        group.refine_grids()
-        stacked = group.columns_along(feasible.motion(best))
-        pairs += rival_pairs(group, stacked, apart, level=level, samples=feasible.samples)
+    pairs = tuple(pair for group in groups for pair in group.result(feasible.motion(best)))
     worst = max(p.needed / p.noncentrality for p in pairs if p.separable)
     median = float(np.median(values))
     trajectory = feasible.parametrization.trajectory(best)
     times = np.append(np.arange(0.0, duration, 1.0 / rate), duration)
     verified = verify(robot, trajectory.at(times), feasible.range, feasible.limits, arm)
     return Discrimination(
-        model=rivals[0].common, trajectory=trajectory,
-        periods=int(np.ceil(worst)), level=level,
+        model=groups[0].common, trajectory=trajectory, periods=int(np.ceil(worst)), level=level,
         sizes={
             r.label: [*r.coefficients.tolist(), *r.shapes.tolist()]
-            for group in rivals for r in group.effects
+            for group in groups for r in group.effects
         },
-        pairs=tuple(pairs), random_seconds=duration / median if median > 0.0 else float("inf"),
+        pairs=pairs, random_seconds=duration / median if median > 0.0 else float("inf"),
         max_violation=violation, evaluations=len(values) + sum(r.evaluations for r in refined),
         solve_seconds=time.monotonic() - began, rate=rate, interrupted=refined[-1].interrupted,
         checked=verified.checked, unchecked=verified.unchecked,
     )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class _WorstPair:
-    """The criterion: the smallest ratio, over the pairs, of noncentrality to the one needed.
-
-    Its inverse is the number of periods after which the test separates all pairs.
-    """
-
-    feasible: FeasibleMotions
-    needed: Sequence[tuple[RivalEffects, Mapping[tuple[int, int], float]]]
-
-    @classmethod
-    def of(
-        cls,
-        rivals: Sequence[RivalEffects],
-        feasible: FeasibleMotions,
-        separable: Sequence[Sequence[tuple[int, int]]],
-        level: float,
-    ) -> _WorstPair:
-        needed = []
-        for group, pairs in zip(rivals, separable, strict=True):
-            parameters = [effect.parameters for effect in group.effects]
-            chi2 = {pair: noncentrality_needed(parameters[pair[0]], level) for pair in pairs}
-            needed.append((group, chi2))
-        return cls(feasible, needed)
-
-    def __call__(self, z: Array) -> float:
-        motion, ratios = self.feasible.motion(z), []
-        for group, needed in self.needed:
-            stacked = group.columns_along(motion)
-            ratios += [noncentrality(group, stacked, *pair) / x for pair, x in needed.items()]
-        return min(ratios)
-
-
-def _refined(
-    criterion: Callable[[Array], float],
-    feasible: FeasibleMotions,
-    starts: Sequence[Array],
-    *,
-    evaluations: int,
-    random: np.random.Generator,
-    progress: Callable[[str, float], None],
-) -> list[SearchedMotion]:
-    """Return the starts (m,) improved by random steps, with so many evaluations for each."""
-    refined: list[SearchedMotion] = []
-    for k, start in enumerate(starts):
-        progress(f"refine {k + 1} of {len(starts)}", 0.3 + 0.7 * k / len(starts))
-        refined.append(
-            random_search(criterion, feasible, start, evaluations=evaluations, random=random)
-        )
-        if refined[-1].interrupted:
-            break
-    return refined
 
 
 def _check_options(fit: Fit, level: float, starts: int, evaluations: int, rate: float) -> None:

@@ -136,14 +136,7 @@ class Discrimination:
             "duration": self.trajectory.duration,
             "periods": self.periods,
             "pairs": [
-                {
-                    "true": p.true,
-                    "rival": p.rival,
-                    "noncentrality": p.noncentrality,
-                    "needed": p.needed,
-                    "remaining": p.remaining,
-                    "separable": p.separable,
-                }
+                {name: value for name, value in vars(p).items() if name != "residual"}
                 for p in self.pairs
             ],
             "max_violation": self.max_violation,
@@ -174,8 +167,36 @@ class Discrimination:
         return f"{text}\nNot checked: {'; '.join(self.unchecked)}."
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the motion and the torque that each rival's refit leaves; not shown."""
-        return plot_discrimination(self, ax)
+        """Draw the motion and the torque that each rival's refit leaves; not shown.
+
+        The torque is that on the joint where it is largest.
+        """
+        from matplotlib.figure import Figure
+
+        figure: Figure
+        if ax is None:
+            figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+            upper, ax = figure.subplots(2, 1, sharex=True)
+            motion = self.motion(rate=100.0)
+            for j in range(self.model.n):
+                upper.plot(motion.t, motion.q[:, j], linewidth=1.2, label=f"q{j + 1}")
+            upper.set_ylabel("position, rad")
+            upper.legend(ncols=self.model.n, fontsize="small")
+        else:
+            figure = ax.get_figure(root=True)  # type: ignore[assignment]
+        for pair in self.pairs:
+            if pair.separable:
+                j = int(np.argmax(np.square(pair.residual).sum(axis=0)))
+                t = period_grid(self.trajectory.duration, len(pair.residual))
+                label = f"{pair.true}, not explained by {pair.rival} (joint {j + 1})"
+                ax.plot(t, pair.residual[:, j], linewidth=1.2, label=label)
+        ax.set_xlabel("time, s")
+        ax.set_ylabel("residual torque, N·m")
+        ax.set_title(
+            f"{self.seconds:.4g} s separate them with {100.0 * self.level:.4g} % confidence"
+        )
+        ax.legend(fontsize="small")
+        return figure
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
         """Write ``trajectory.csv`` (one period), ``discriminate.json``, ``discriminate.png``.
@@ -209,33 +230,3 @@ class Discrimination:
 
     def __repr__(self) -> str:
         return f"<Discrimination of {' and '.join(self.sizes)}: {self.seconds:.4g} s>"
-
-
-def plot_discrimination(result: Discrimination, ax: Axes | None = None) -> Figure:
-    """Draw the torque that each rival's refit leaves, on the joint where it is largest."""
-    from matplotlib.figure import Figure
-
-    figure: Figure
-    if ax is None:
-        figure = Figure(figsize=(9.0, 6.0), layout="constrained")
-        upper, ax = figure.subplots(2, 1, sharex=True)
-        motion = result.motion(rate=100.0)
-        for j in range(result.model.n):
-            upper.plot(motion.t, motion.q[:, j], linewidth=1.2, label=f"q{j + 1}")
-        upper.set_ylabel("position, rad")
-        upper.legend(ncols=result.model.n, fontsize="small")
-    else:
-        figure = ax.get_figure(root=True)  # type: ignore[assignment]
-    for pair in result.pairs:
-        if pair.separable:
-            j = int(np.argmax(np.square(pair.residual).sum(axis=0)))
-            t = period_grid(result.trajectory.duration, len(pair.residual))
-            label = f"{pair.true}, not explained by {pair.rival} (joint {j + 1})"
-            ax.plot(t, pair.residual[:, j], linewidth=1.2, label=label)
-    ax.set_xlabel("time, s")
-    ax.set_ylabel("residual torque, N·m")
-    ax.set_title(
-        f"{result.seconds:.4g} s separate them with {100.0 * result.level:.4g} % confidence"
-    )
-    ax.legend(fontsize="small")
-    return figure

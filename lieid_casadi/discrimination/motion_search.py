@@ -38,21 +38,13 @@ SAMPLES = 200  # fewest of the criterion over a period, where the number is not 
 COARSE = 4  # points per sample of the criterion, on which limits are checked during the search
 USED = 0.998  # part of each limit that is used
 SHRINK = 0.9  # factor by which a motion outside of the limits is reduced
+GROWTH = 1.5  # of the step after a success
+INITIAL_STEP, SMALLEST_STEP = 0.3, 1e-3  # relative to the RMS of z
 
 
 @dataclass(frozen=True, eq=False)
 class FeasibleMotions:
-    """Motions within limits, as vectors z of free coefficients.
-
-    Attributes
-    ----------
-    range : MotionRange
-        Joint limits.
-    sets : tuple of ConstraintSet
-        Further limits.
-    limits : tuple of LimitOnArm
-        From which the sets are.
-    """
+    """Motions within joint limits and further ones, as vectors z of free coefficients."""
 
     parametrization: Parametrization
     range: MotionRange
@@ -62,7 +54,7 @@ class FeasibleMotions:
 
     def motion(self, z: Array) -> MotionSamples:
         """Return the samples of the criterion over one period."""
-        return self._grid(1).motion(z)
+        return self._sampled.motion(z)
 
     def within(self, z: Array) -> Array:
         """Return z shrunk towards the start pose until all limits hold on the coarse grid.
@@ -117,18 +109,16 @@ class FeasibleMotions:
         return np.ravel(z.reshape(len(pose), -1) / worst[:, None])
 
     @cached_property
-    def _coarse(self) -> SampledBasis:
-        return self._grid(COARSE)
+    def _sampled(self) -> SampledBasis:
+        return self._grid(self.samples)
 
     @cached_property
-    def _grids(self) -> dict[int, SampledBasis]:
-        return {}
+    def _coarse(self) -> SampledBasis:
+        return self._grid(COARSE * self.samples)
 
-    def _grid(self, factor: int) -> SampledBasis:
-        if factor not in self._grids:
-            times = period_grid(self.parametrization.basis.duration, factor * self.samples)
-            self._grids[factor] = SampledBasis(self.parametrization, times)
-        return self._grids[factor]
+    def _grid(self, samples: int) -> SampledBasis:
+        p = self.parametrization
+        return SampledBasis(p, period_grid(p.basis.duration, samples))
 
 
 def feasible_motions(
@@ -162,22 +152,9 @@ def feasible_motions(
     return FeasibleMotions(parametrization, joints, sets, made, samples)
 
 
-GROWTH = 1.5  # of the step after a success
-INITIAL_STEP, SMALLEST_STEP = 0.3, 1e-3  # relative to the RMS of z
-
-
 @dataclass(frozen=True, eq=False)
 class SearchedMotion:
-    """The best motion that a search found.
-
-    Attributes
-    ----------
-    z : (m,)
-    value : float
-        Of the criterion.
-    interrupted : bool
-        Whether Ctrl-C ended the search.
-    """
+    """The best motion (m,) that a search found, and its value of the criterion."""
 
     z: Array
     value: float
@@ -223,11 +200,6 @@ def random_search(
     except KeyboardInterrupt:
         return SearchedMotion(best, highest, used, interrupted=True)
     return SearchedMotion(best, highest, used)
-
-
-def best_starts(values: Sequence[float], count: int) -> list[int]:
-    """Return the indices of the largest values, largest first."""
-    return [int(k) for k in np.argsort(values)[::-1][:count]]
 
 
 def independent_rate(fit: Fit, recordings: Sequence[Recording]) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import permutations, product
@@ -26,31 +26,27 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording
 
 RANK_TOLERANCE = 1e-9
+GRID = 25  # values of a shape parameter in a rival's refit; the square root for each of two
+FINE_GRID = 81  # the same for the result
+AT_REST = 2e-3  # relative to the velocity limit, below which friction is undetermined
+ALIAS = 1e-6  # part of an effect below which no data can identify it; the diagnosis uses the same
 
 
 @dataclass(frozen=True, eq=False)
 class StackedColumns:
     """Columns along a motion, the rows of all joints stacked and weighted.
 
-    The squared length of a vector is the noncentrality that one period contributes.
-
-    Attributes
-    ----------
-    common : (R, r)
-        Orthonormal basis of the base columns and of the effects that all rivals share.
-    columns : tuple of (G, R, c)
-        Of each rival, at the shape parameters of its grid.
+    The squared length of a vector is the noncentrality that one period contributes. ``common``
+    (R, r) is an orthonormal basis of what all rivals share, ``columns`` (G, R, c) are those of each
+    rival at the shape parameters of its grid.
     """
 
     common: Array
     columns: tuple[Array, ...]
 
     def outside_model(self, columns: Array) -> Array:
-        """Return the part of columns (R, c) outside the common span.
-
-        The projection is applied twice, against rounding.
-        """
-        for _ in range(2):
+        """Return the part of columns (R, c) outside the common span."""
+        for _ in range(2):  # against rounding
             columns = columns - self.common @ (self.common.T @ columns)
         return columns
 
@@ -64,8 +60,7 @@ class StackedColumns:
         torque = self.remaining_columns[true][0] @ coefficients
         best: Array = torque
         for own in self.remaining_columns[rival]:
-            scale = np.linalg.norm(own, axis=0)
-            basis = span_basis(own / np.where(scale > 0.0, scale, 1.0))
+            basis = span_basis(own)
             left = torque - basis @ (basis.T @ torque)
             if left @ left < best @ best:
                 best = left
@@ -73,31 +68,21 @@ class StackedColumns:
 
 
 def span_basis(columns: Array) -> Array:
-    """Return an orthonormal basis of columns (R, k) of about unit length."""
-    basis, triangle, _ = qr(columns, mode="economic", pivoting=True)
+    """Return an orthonormal basis of the span of columns (R, k), whatever their lengths."""
+    scale = np.linalg.norm(columns, axis=0)
+    basis, triangle, _ = qr(
+        columns / np.where(scale > 0.0, scale, 1.0), mode="economic", pivoting=True
+    )
     sizes = np.abs(np.diag(triangle))
     return np.asarray(basis[:, sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)])
 
 
-GRID = 25  # values of a shape parameter in a rival's refit; the square root for each of two
-FINE_GRID = 81  # the same for the result
-AT_REST = 2e-3  # relative to the velocity limit, below which friction is undetermined
-
-
 @dataclass(frozen=True, eq=False)
 class RivalEffect:
-    """One effect with its assumed size.
+    """One effect with its assumed size: coefficients (c,), NaN where unknown, and shapes (s,).
 
-    Attributes
-    ----------
-    compiled : Compiled
-        The common model with this effect, whose columns are the last ones.
-    coefficients : (c,)
-        NaN where none are stated or fitted.
-    shapes : (s,)
-        Shape parameters.
-    grid : (G, s)
-        Shape parameters of its refit; the first row is ``shapes``.
+    ``compiled`` is the common model with this effect, whose columns are the last ones; ``grid``
+    (G, s) has the shape parameters of its refit, ``shapes`` first.
     """
 
     placement: Placement
@@ -118,7 +103,7 @@ class RivalEffect:
 
 
 class RivalEffects:
-    """Rival effects, and the model that they have in common."""
+    """A group of rival effects, and the model that they have in common."""
 
     def __init__(
         self,
@@ -129,8 +114,10 @@ class RivalEffects:
         independent_rate: Array,
         duration: float,
         velocity: Array,
+        level: float,
     ) -> None:
         self.fit, self.duration, self.independent_rate = fit, duration, independent_rate
+        self.level = level
         placements = rival_placements(effects, fit.model.n)
         labels = {p.label for p in placements}
         kept = [p for p in fit.model.placements if p.label not in labels]
@@ -138,25 +125,17 @@ class RivalEffects:
         self.compiled = compile(self.common)
         self._dead_zone = AT_REST * velocity
         self.effects = tuple(self._rival(p, sizes.get(p.label)) for p in placements)
-
-    @property
-    def pairs(self) -> list[tuple[int, int]]:
-        """Every (true, rival)."""
-        return list(permutations(range(len(self.effects)), 2))
+        self.needed: dict[tuple[int, int], float] = {}  # noncentrality, of separable pairs
 
     def columns_along(self, motion: MotionSamples) -> StackedColumns:
         """Return the columns of the common model and of all rivals along one period."""
         segment = self._segment(motion)
-        weight = self._weight(motion)
-        links = self.fit.link_parameters
+        weight = segment.moving * self._torque_weight() / np.sqrt(len(motion))
         coefficients, shapes = fitted_numbers(self.fit, self.common.placements)
-        parameters = np.concatenate([links, coefficients])
+        parameters = np.concatenate([self.fit.link_parameters, coefficients])
         effects = effects_along(self.compiled, segment, shapes, parameters)
         rigid = self.compiled.regressor(motion.q, motion.dq, motion.ddq)
         full = np.concatenate([rigid, effects], axis=2)[:, :, list(self.common.base.kept)]
-        stacked = _flat(full, weight)
-        scale = np.linalg.norm(stacked, axis=0)
-        common = span_basis(stacked / np.where(scale > 0.0, scale, 1.0))
         columns = []
         for rival in self.effects:
             own = np.nan_to_num(rival.coefficients)
@@ -166,9 +145,85 @@ class RivalEffects:
                 for shape in rival.grid
             ]
             columns.append(np.array([_flat(c[:, :, -len(own) :], weight) for c in each]))
-        return StackedColumns(common, tuple(columns))
+        return StackedColumns(span_basis(_flat(full, weight)), tuple(columns))
 
-    def assign_sizes(self, motions: Sequence[MotionSamples]) -> None:
+    def prepare(self, motions: Sequence[MotionSamples]) -> None:
+        """Assign sizes and find the pairs (true, rival) that some of the motions separate."""
+        self._assign_sizes([self.columns_along(motion) for motion in motions])
+        tried = [self.columns_along(motion) for motion in motions]
+        for k, effect in enumerate(self.effects):
+            if max(self._part_outside_model(stacked, k) for stacked in tried) < ALIAS:
+                raise NoSolution(
+                    f"{effect.label}: other parameters of the model absorb it along any motion, so "
+                    "that no data can identify it. Leave it out, or fix the parameters that absorb "
+                    "it"
+                )
+        pairs = list(permutations(range(len(self.effects)), 2))
+        for a, b in pairs:
+            if max(self._remaining(stacked, a, b) for stacked in tried) >= ALIAS:
+                self.needed[a, b] = noncentrality_needed(self.effects[a].parameters, self.level)
+        for a, b in pairs:
+            if (a, b) not in self.needed and (b, a) not in self.needed:
+                one, other = self.effects[a].label, self.effects[b].label
+                raise NoSolution(
+                    f"{one} and {other} of these sizes explain the same torque along any motion, "
+                    "so that no data can separate them. Leave one of them out, or state other sizes"
+                )
+
+    def worst(self, motion: MotionSamples) -> float:
+        """Return the smallest ratio, over the pairs, of noncentrality to the one needed.
+
+        Its inverse is the number of periods after which the test separates all pairs.
+        """
+        stacked = self.columns_along(motion)
+        return min(
+            float(left @ left) / needed
+            for pair, needed in self.needed.items()
+            for left in [self._left(stacked, *pair)]
+        )
+
+    def result(self, motion: MotionSamples) -> list[RivalPair]:
+        """Return how well a motion separates each pair.
+
+        Grids of shape parameters are finer here: a search may have used the gaps of coarse ones.
+        """
+        self.effects = tuple(
+            replace(r, grid=_grid(r.placement, r.shapes, FINE_GRID)) for r in self.effects
+        )
+        stacked, samples = self.columns_along(motion), len(motion)
+        found = []
+        for pair in permutations(range(len(self.effects)), 2):
+            true, other = (self.effects[k] for k in pair)
+            left = self._left(stacked, *pair)
+            found.append(
+                RivalPair(
+                    true=true.label, rival=other.label, noncentrality=float(left @ left),
+                    needed=noncentrality_needed(true.parameters, self.level),
+                    remaining=self._remaining(stacked, *pair), separable=pair in self.needed,
+                    residual=left.reshape(samples, -1) * np.sqrt(samples) / self._torque_weight(),
+                )
+            )  # fmt: skip
+        return found
+
+    def _left(self, stacked: StackedColumns, true: int, rival: int) -> Array:
+        """Return the weighted torque (R,) that is unexplained if the rival is fitted."""
+        return stacked.unexplained(true, rival, self.effects[true].coefficients)
+
+    def _remaining(self, stacked: StackedColumns, true: int, rival: int) -> float:
+        """Return the part (0 to 1) of an effect's torque that the rival's refit leaves."""
+        left = float(np.linalg.norm(self._left(stacked, true, rival)))
+        return left / self._size(stacked, true)
+
+    def _part_outside_model(self, stacked: StackedColumns, index: int) -> float:
+        """Return the part (0 to 1) of an effect's torque that the common model does not span."""
+        left = stacked.remaining_columns[index][0] @ self.effects[index].coefficients
+        return float(np.linalg.norm(left)) / self._size(stacked, index)
+
+    def _size(self, stacked: StackedColumns, index: int) -> float:
+        own = stacked.columns[index][0] @ self.effects[index].coefficients
+        return max(float(np.linalg.norm(own)), 1e-300)
+
+    def _assign_sizes(self, tried: Sequence[StackedColumns]) -> None:
         """Assign sizes to effects that have none.
 
         Their RMS torque is that of the largest stated or fitted effect, or of the noise, in equal
@@ -176,15 +231,14 @@ class RivalEffects:
         """
         squares = [np.zeros(len(r.coefficients)) for r in self.effects]
         torques = np.zeros(len(self.effects))
-        for stacked in map(self.columns_along, motions):
+        for stacked in tried:
             for k, (rival, columns) in enumerate(zip(self.effects, stacked.columns, strict=True)):
-                squares[k] += (columns[0] ** 2).sum(axis=0) / len(motions)
-                torques[k] += ((columns[0] @ rival.coefficients) ** 2).sum() / len(motions)
+                squares[k] += (columns[0] ** 2).sum(axis=0) / len(tried)
+                torques[k] += ((columns[0] @ rival.coefficients) ** 2).sum() / len(tried)
         available = torques[np.isfinite(torques)]
         made = []
         for rival, square in zip(self.effects, squares, strict=True):
-            joint = rival.placement.joint
-            noise = self.independent_rate[joint] * self.duration
+            noise = self.independent_rate[rival.placement.joint] * self.duration
             level = float(available.max()) if len(available) else noise
             if np.isnan(rival.coefficients).any():
                 acts = square > 0.0
@@ -198,22 +252,9 @@ class RivalEffects:
             made.append(rival)
         self.effects = tuple(made)
 
-    def refine_grids(self) -> None:
-        """Use finer grids of shape parameters in the refits.
-
-        A search may have used the gaps between the points of the coarse grids.
-        """
-        self.effects = tuple(
-            replace(r, grid=_grid(r.placement, r.shapes, FINE_GRID)) for r in self.effects
-        )
-
-    def torque_weight(self) -> Array:
+    def _torque_weight(self) -> Array:
         """Return the weight (n,) of a torque of 1 N·m per √sample of one period, 1/(N·m)."""
         return np.asarray(np.sqrt(self.independent_rate * self.duration) / self.fit.noise)
-
-    def _weight(self, motion: MotionSamples) -> Array:
-        moving = np.abs(motion.dq) > self._dead_zone
-        return np.asarray(moving * self.torque_weight() / np.sqrt(len(motion)))
 
     def _segment(self, motion: MotionSamples) -> Processed:
         recording = Recording.from_arrays(motion.t, motion.q, motion.dq, np.zeros_like(motion.q))
@@ -227,9 +268,7 @@ class RivalEffects:
     def _rival(self, placement: Placement, size: Sequence[float] | None) -> RivalEffect:
         effect = placement.effect
         count = len(effect.coefficients)
-        initial = [shape.initial for shape in effect.shapes]
-        numbers = np.array([np.nan] * count + initial)
-        have = {p.label for p in self.fit.model.placements}
+        numbers = np.array([np.nan] * count + [shape.initial for shape in effect.shapes])
         if size is not None:
             if len(size) not in (count, len(numbers)) or not np.all(np.isfinite(size)):
                 names = [c.name for c in effect.coefficients] + [s.name for s in effect.shapes]
@@ -242,7 +281,7 @@ class RivalEffects:
                 raise EffectError(
                     f"size of {placement.label}: zero; expected a coefficient that is not zero"
                 )
-        elif placement.label in have:
+        elif placement.label in {p.label for p in self.fit.model.placements}:
             numbers = np.concatenate(fitted_numbers(self.fit, [placement]))
         model = Model.of_placements(self.common.robot, (*self.common.placements, placement))
         own = numbers[count:]
@@ -300,12 +339,13 @@ def rival_placements(effects: Sequence[str], n: int) -> list[Placement]:
 
 def _grid(placement: Placement, own: Array, points: int = GRID) -> Array:
     """Return shape parameters (G, s): its own, the initial ones, and a grid over their ranges."""
-    if not any(shape.data is None for shape in placement.effect.shapes):
+    shapes = placement.effect.shapes
+    if not any(shape.data is None for shape in shapes):
         return own[None]
-    ranges = ShapeRange.of(placement.effect.shapes)
+    ranges = ShapeRange.of(shapes)
     count = max(3, round(points ** (1 / len(own))))
     places = product(np.linspace(0.0, 1.0, count), repeat=len(own))
-    initial = [shape.initial for shape in placement.effect.shapes]
+    initial = [shape.initial for shape in shapes]
     return np.array([own, initial, *(ranges.shapes(np.array(p)) for p in places)])
 
 
@@ -314,81 +354,7 @@ def _flat(columns: Array, weight: Array) -> Array:
     return np.asarray((columns * weight[:, :, None]).reshape(-1, columns.shape[2]))
 
 
-ALIAS = 1e-6  # part of an effect below which no data can identify it; the diagnosis uses the same
-
-
 def noncentrality_needed(parameters: int, level: float) -> float:
     """Return the noncentrality at which χ² rejects at 1 − level with probability level."""
     threshold = chi2.ppf(level, parameters)
     return float(brentq(lambda x: ncx2.sf(threshold, parameters, x) - level, 1e-6, 1e3))
-
-
-def noncentrality(rivals: RivalEffects, stacked: StackedColumns, true: int, rival: int) -> float:
-    """Return the noncentrality of one period if one effect is true and the other is fitted."""
-    left = stacked.unexplained(true, rival, rivals.effects[true].coefficients)
-    return float(left @ left)
-
-
-def separable_pairs(rivals: RivalEffects, tried: Sequence[StackedColumns]) -> list[tuple[int, int]]:
-    """Return the pairs (true, rival) that some of the motions tried can separate."""
-    for k, effect in enumerate(rivals.effects):
-        if max(_part_outside_model(stacked, k, rivals) for stacked in tried) < ALIAS:
-            raise NoSolution(
-                f"{effect.label}: other parameters of the model absorb it along any motion, so "
-                "that no data can identify it. Leave it out, or fix the parameters that absorb it"
-            )
-    separable = [
-        pair
-        for pair in rivals.pairs
-        if max(_remaining(rivals, stacked, *pair) for stacked in tried) >= ALIAS
-    ]
-    for a, b in rivals.pairs:
-        if (a, b) not in separable and (b, a) not in separable:
-            one, other = rivals.effects[a].label, rivals.effects[b].label
-            raise NoSolution(
-                f"{one} and {other} of these sizes explain the same torque along any motion, so "
-                "that no data can separate them. Leave one of them out, or state other sizes"
-            )
-    return separable
-
-
-def rival_pairs(
-    rivals: RivalEffects,
-    stacked: StackedColumns,
-    separable: Collection[tuple[int, int]],
-    *,
-    level: float,
-    samples: int,
-) -> tuple[RivalPair, ...]:
-    """Return the result for each pair along a motion."""
-    weight = rivals.torque_weight()
-    found = []
-    for pair in rivals.pairs:
-        true, other = (rivals.effects[k] for k in pair)
-        left = stacked.unexplained(*pair, true.coefficients)
-        found.append(
-            RivalPair(
-                true=true.label,
-                rival=other.label,
-                noncentrality=float(left @ left),
-                needed=noncentrality_needed(true.parameters, level),
-                remaining=_remaining(rivals, stacked, *pair),
-                separable=pair in separable,
-                residual=left.reshape(samples, -1) * np.sqrt(samples) / weight,
-            )
-        )
-    return tuple(found)
-
-
-def _part_outside_model(stacked: StackedColumns, index: int, rivals: RivalEffects) -> float:
-    """Return the part (0 to 1) of an effect's torque that the common model does not span."""
-    own = stacked.columns[index][0] @ rivals.effects[index].coefficients
-    left = stacked.outside_model(own[:, None])
-    return float(np.linalg.norm(left)) / max(float(np.linalg.norm(own)), 1e-300)
-
-
-def _remaining(rivals: RivalEffects, stacked: StackedColumns, true: int, rival: int) -> float:
-    """Return the part (0 to 1) of an effect's torque that the rival's refit leaves."""
-    own = stacked.columns[true][0] @ rivals.effects[true].coefficients
-    left = np.sqrt(noncentrality(rivals, stacked, true, rival))
-    return float(left / max(float(np.linalg.norm(own)), 1e-300))
