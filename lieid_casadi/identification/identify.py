@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
@@ -64,7 +65,7 @@ def identify(
     method: Method = "wls",
     processing: Processing | None = None,
     feasible: FeasibleOptions | None = None,
-    held_shapes: Array | None = None,
+    held_shapes: ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> Fit:
     """Fit a model's parameters to recordings.
@@ -125,13 +126,19 @@ def identify(
     model, given = as_model(model), listed(recordings)
     report = progress or (lambda stage, fraction: None)
     _check_method(method, feasible)
+    if held_shapes is not None and np.shape(held_shapes) != (len(model.shapes),):
+        labels = ", ".join(shape.label for shape in model.shapes) or "no shape parameters"
+        raise IdentificationError(
+            f"held_shapes has shape {np.shape(held_shapes)}; expected ({len(model.shapes)},), one "
+            f"number for each of {labels}"
+        )
     compiled, segments, mean, found = _prepared(model, given, processing, report)
     fit = identify_segments(
         compiled,
         segments,
         method=method,
         feasible=feasible,
-        held_shapes=held_shapes,
+        held_shapes=None if held_shapes is None else np.asarray(held_shapes, dtype=float),
         temperature_mean=mean,
         provenance=_provenance(given),
         warnings=found,

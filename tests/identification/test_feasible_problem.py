@@ -1,5 +1,7 @@
 """The convex problem: two solvers, frames and units, friction on a finer grid."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from identification.log_cholesky import solve_log_cholesky
@@ -25,27 +27,23 @@ def rows_of(model, rng, samples=400, noise=0.3):
     return Factor(triangular(np.column_stack([matrix, torque]) / noise), len(torque))
 
 
-def problem_of(model, factor, rng, **options):
-    references = np.array([pseudo_inertia(random_link(rng)) for _ in range(model.n)])
+def friction_rows(model, *, velocity, load):
     n = model.n
-    friction = dissipation_rows(
+    return dissipation_rows(
         lieid.compile(model),
         model.initial_shapes,
-        velocity=np.full(n, 2.0),
-        load=np.full(n, 20.0),
+        velocity=np.full(n, velocity),
+        load=np.full(n, load),
         temperature=np.zeros(n),
         lower=np.full(n, -np.pi),
         upper=np.full(n, np.pi),
     )
-    return FeasibleProblem(
-        combination=model.base.combination,
-        references=references,
-        lower=np.array([c.lower for c in model.columns]),
-        upper=np.array([c.upper for c in model.columns]),
-        friction=friction,
-        typical=factor,
-        options=FeasibleOptions(**options),
-    )
+
+
+def problem_of(model, factor, rng, **options):
+    references = np.array([pseudo_inertia(random_link(rng)) for _ in range(model.n)])
+    friction = friction_rows(model, velocity=2.0, load=20.0)
+    return FeasibleProblem.of(model, references, friction, factor, FeasibleOptions(**options))
 
 
 BOUNDED = {"total_mass": (1.0, 4.0), "margin": 0.05}
@@ -92,15 +90,7 @@ def test_the_divergence_does_not_depend_on_the_frame():
     problem = problem_of(model, factor, rng)
     links = np.concatenate([random_link(rng), random_link(rng), [0.0, 0.0]])
     pose = random_pose(rng, 1.0)
-    moved = FeasibleProblem(
-        combination=problem.combination,
-        references=np.array([pose @ p @ pose.T for p in problem.references]),
-        lower=problem.lower,
-        upper=problem.upper,
-        friction=problem.friction,
-        typical=factor,
-        options=problem.options,
-    )
+    moved = replace(problem, references=np.array([pose @ p @ pose.T for p in problem.references]))
     transport = parameter_transport(pose)
     transported = np.concatenate([transport @ links[:10], transport @ links[10:20], [0, 0]])
     expected = problem.divergences(links)
@@ -147,15 +137,7 @@ def test_friction_dissipates_between_the_points_of_the_grid():
 def test_coupled_joints_dissipate_together():
     """f_v·q̇₁ on joint 2: alone it can drive, with enough friction on both joints it cannot."""
     model = lieid.Model(lieid.robots.two_link(), "viscous,transmission_coupling:2<1")
-    rows = dissipation_rows(
-        lieid.compile(model),
-        model.initial_shapes,
-        velocity=np.array([1.0, 1.0]),
-        load=np.zeros(2),
-        temperature=np.zeros(2),
-        lower=np.full(2, -1.0),
-        upper=np.full(2, 1.0),
-    )
+    rows = friction_rows(model, velocity=1.0, load=0.0)
     order = [c.label for c in model.columns]
     assert order == [
         "viscous.f_v:1",
@@ -172,15 +154,7 @@ def test_coupled_joints_dissipate_together():
 
 def test_friction_with_load_and_states_reaches_full_sliding():
     model = lieid.Model(lieid.robots.two_link(), "presliding/load:1,viscous:1")
-    rows = dissipation_rows(
-        lieid.compile(model),
-        model.initial_shapes,
-        velocity=np.array([2.0, 2.0]),
-        load=np.array([10.0, 10.0]),
-        temperature=np.zeros(2),
-        lower=np.full(2, -1.0),
-        upper=np.full(2, 1.0),
-    )
+    rows = friction_rows(model, velocity=2.0, load=10.0)
     # columns z/w → 1, |load|, q̇: f_c + f_τ·|τ| + f_v·v over |τ| in 0, 5, 10 and v up to 2
     assert (rows @ [1.0, -0.09, 0.0]).min() == pytest.approx(0.1, abs=1e-6)
     assert (rows @ [1.0, 0.0, -0.4]).min() == pytest.approx(0.2, abs=1e-6)

@@ -214,6 +214,8 @@ def test_invalid_requests_are_refused():
     _, recording = measured(duration=5.0)
     with pytest.raises(IdentificationError, match="unknown method 'magic'"):
         lieid.identify(model, recording, method="magic")
+    with pytest.raises(IdentificationError, match=r"held_shapes has shape \(2,\); expected \(0,\)"):
+        lieid.identify(model, recording, held_shapes=[0.1, 0.2])
     with pytest.raises(IdentificationError, match="no recordings"):
         lieid.identify(model, [])
     no_torque = lieid.Recording.from_arrays(recording.t, recording.q, recording.dq)

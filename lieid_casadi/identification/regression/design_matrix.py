@@ -174,14 +174,17 @@ class Design:
         Parameters are (10 n,), or (10 n + m,) with the coefficients that effects on the whole arm
         need.
         """
-        if self._rows is None or len(self.varying):
-            varying = self.varying_rows(shapes, link_parameters) if len(self.varying) else None
-            joints = [
-                self._joint_rows(j, None if varying is None else varying[j])
-                for j in range(self.model.n)
-            ]
-            self._rows = Rows(joints, self.model.base.count, self._segments)
-        return self._rows
+        if self._rows is not None:
+            return self._rows
+        varying = self.varying_rows(shapes, link_parameters) if len(self.varying) else None
+        joints = [
+            self._joint_rows(j, None if varying is None else varying[j])
+            for j in range(self.model.n)
+        ]
+        rows = Rows(joints, self.model.base.count, self._segments)
+        if varying is None:  # these rows stay the same
+            self._rows, self._constant = rows, []
+        return rows
 
     def _joint_rows(self, j: int, varying: Array | None) -> JointRows:
         active = self._active[j]
