@@ -39,6 +39,7 @@ HEADINGS = (
     "joint", "in motion", "noise floor", "of torque", "at rest", "all", "raw", "correlation",
     "bias", "unit",
 )  # fmt: skip
+FALLS, RISES = 3.0, 2.0  # %, from which on a change of a joint's error is stated
 REST_MATTERS = 0.25  # of a joint's squared error: from this on, rest is reported
 
 
@@ -300,21 +301,26 @@ def fall_sentence(
     'On unseen motion the error falls by 40 to 50 %; joint 2 stays at 3.0 times its noise floor.'
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        falls, ratio = 100.0 * (1.0 - after / before), after / floor
-    falls, ratio = falls[np.isfinite(falls)], np.where(np.isfinite(ratio), ratio, 0.0)
-    if not falls.size:
+        falls, ratio = 100.0 * (1.0 - after / before), np.nan_to_num(after / floor, posinf=0.0)
+    if not np.any(np.isfinite(falls)):
         return ""
-    least, most = (f"{value:z.0f}" for value in (falls.min(), falls.max()))
-    if falls.min() < -0.5:
-        text = f"changes by {-falls.max():+.0f} to {-falls.min():+.0f} %, depending on the joint"
-    else:
-        text = f"falls by {most} %" if least == most else f"falls by {least} to {most} %"
-    worst = int(np.argmax(ratio))
-    stays = f"; joint {worst + 1} stays at {ratio[worst]:.1f} times {reference}"
-    beyond = (
-        stays if ratio[worst] > AS_NOISE else f"; no joint exceeds {AS_NOISE} times {reference}"
+    lower = np.nan_to_num(falls) > FALLS
+    size = (
+        [f"{value:.0f}" for value in (falls[lower].min(), falls[lower].max())]
+        if lower.any()
+        else []
     )
-    return f"On {where} the error {text}{beyond if np.any(ratio > 0.0) else ''}."
+    whose = "" if np.all(lower | np.isnan(falls)) else f" of {joints_text(lower)}"
+    text = f"error{whose} falls by {' to '.join(dict.fromkeys(size))} %"
+    if not lower.any():
+        text = f"error falls by {np.nanmax(falls):z.0f} % at most"
+    if np.nanmin(falls) < -RISES:
+        text += f", that of {joints_text(falls < -RISES)} rises by up to {-np.nanmin(falls):.0f} %"
+    worst = int(np.argmax(ratio))
+    beyond = f"; joint {worst + 1} stays at {ratio[worst]:.1f} times {reference}"
+    if ratio[worst] <= AS_NOISE:
+        beyond = f"; no joint exceeds {AS_NOISE} times {reference}" if ratio[worst] > 0.0 else ""
+    return f"On {where} the {text}{beyond}."
 
 
 def verdict(comparison: Comparison) -> str:

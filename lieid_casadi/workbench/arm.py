@@ -20,30 +20,17 @@ from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
 
 FRAMES_PER_SECOND = 20.0
+AROUND = 24  # edges of a circle
 MOST_FRAMES = 6000  # of a recording; longer ones get fewer per second
 
 
 @dataclass(frozen=True, eq=False)
-class ArmSolid:
-    """A capsule, or the drum that marks joint ``link``, in the frame of a link (0: base).
-
-    ``rotation`` turns the y axis to that of the solid; ``length`` is without the caps of a capsule.
-    """
-
-    link: int
-    drum: bool
-    middle: Array
-    rotation: Array
-    length: float
-    radius: float
-
-
-@dataclass(frozen=True, eq=False)
 class ArmMesh:
-    """The mesh of a link in its frame: a binary STL file, m."""
+    """Surface of a link in its frame, or drum that marks its joint: a binary STL file, m."""
 
     link: int
     stl: bytes
+    drum: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,28 +64,40 @@ def arm_motion(robot: Robot, recording: Recording) -> ArmMotion:
     return ArmMotion(t[rows], poses, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)))
 
 
-def arm_solids(robot: Robot) -> tuple[ArmSolid, ...]:
-    """Return the links as capsules, and a drum along the axis of each joint, which marks it."""
+def arm_meshes(robot: Robot, file: str) -> tuple[ArmMesh, ...]:
+    """Return the surfaces of the links, and a drum along the axis of each joint, which marks it.
+
+    Links have the visual meshes of the URDF ``file`` if all of them are found, else capsules.
+    """
     capsules = capsules_of(robot)
-    solids = [_solid(c.link, 0.5 * (c.start + c.end), c.end - c.start, c.radius) for c in capsules]
+    meshes = visual_meshes(robot, file)
+    if not meshes:
+        meshes = [ArmMesh(c.link, stl_bytes(revolved(c.start, c.end, c.radius))) for c in capsules]
     size = float(np.median([c.radius for c in capsules])) if capsules else 0.05
     for link, joint in enumerate(robot.joints, start=1):
-        direction = joint.axis[:3] if joint.revolute else joint.axis[3:]
+        half = 1.3 * size * (joint.axis[:3] if joint.revolute else joint.axis[3:])
         middle = np.cross(joint.axis[:3], joint.axis[3:])  # nearest the origin on the joint's axis
-        solids.append(_solid(link, middle, 2.6 * size * direction, 0.6 * size, drum=True))
-    return tuple(solids)
+        drum = revolved(middle - half, middle + half, 0.6 * size, flat=True)
+        meshes.append(ArmMesh(link, stl_bytes(drum), drum=True))
+    return tuple(meshes)
 
 
-def _solid(
-    link: int, middle: Array, along: Array, radius: float, *, drum: bool = False
-) -> ArmSolid:
-    """Return a solid whose axis has the direction and length of ``along``."""
-    length = float(np.linalg.norm(along))
-    axis = along / length if length > 0.0 else np.array([0.0, 1.0, 0.0])
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    third = np.cross(helper, axis) / np.linalg.norm(np.cross(helper, axis))
-    rotation = np.column_stack([np.cross(axis, third), axis, third])
-    return ArmSolid(link, drum, np.asarray(middle, dtype=float), rotation, length, float(radius))
+def revolved(start: Array, end: Array, radius: float, *, flat: bool = False) -> Array:
+    """Return the triangles (F, 3, 3) of a capsule between two points, m; with flat ends, a drum."""
+    length = float(np.linalg.norm(end - start))
+    axis = (end - start) / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
+    turn = np.linspace(0.0, 0.5 * np.pi, 2 if flat else 7)
+    cap = np.column_stack([0.0 * turn if flat else radius * np.cos(turn), radius * np.sin(turn)])
+    ends = cap[::-1] + np.array([length, 0.0])
+    profile = np.concatenate([cap * [-1.0, 1.0], ends])  # along the axis, and from it
+    side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    side /= np.linalg.norm(side)
+    angle = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)[:, None]
+    rim = np.cos(angle) * side + np.sin(angle) * np.cross(axis, side)
+    points = start + profile[:, None, :1] * axis + profile[:, None, 1:] * rim  # (P, AROUND + 1, 3)
+    a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
+    both = np.stack([np.stack([a, b, d], axis=-2), np.stack([a, d, c], axis=-2)])
+    return np.asarray(both.reshape(-1, 3, 3))
 
 
 logger = logging.getLogger("lieid_casadi")
@@ -109,8 +108,8 @@ MOST_TRIANGLES = 200_000  # of all links; more are not sent to a browser
 PARENTS = 4  # folders above the URDF in which its packages are looked for
 
 
-def arm_meshes(robot: Robot, file: str) -> tuple[ArmMesh, ...]:
-    """Return the visual meshes of the links in their frames; () if a file of them is not found.
+def visual_meshes(robot: Robot, file: str) -> list[ArmMesh]:
+    """Return the visual meshes of the links in their frames; none if a file of them is not found.
 
     ``package://NAME/…`` is looked for in the folders above the URDF ``file``, in
     ``ROS_PACKAGE_PATH`` and in ``AMENT_PREFIX_PATH``.
@@ -119,7 +118,7 @@ def arm_meshes(robot: Robot, file: str) -> tuple[ArmMesh, ...]:
 
     source = robot.source
     if source is None or source.kind != "urdf" or "<mesh" not in source.text:
-        return ()
+        return []
     full = pin.buildModelFromXML(source.text)
     try:
         shapes = pin.buildGeomFromUrdfString(
@@ -127,7 +126,7 @@ def arm_meshes(robot: Robot, file: str) -> tuple[ArmMesh, ...]:
         )
     except (ValueError, RuntimeError) as error:
         logger.info("meshes of %s: %s", robot.name, " ".join(str(error).split()))
-        return ()
+        return []
     links = {joint.name: k + 1 for k, joint in enumerate(robot.joints)}
     locked = [full.getJointId(name) for name in list(full.names)[1:] if name not in links]
     reduced, [geometry] = pin.buildReducedModel(full, [shapes], locked, pin.neutral(full))
@@ -135,11 +134,11 @@ def arm_meshes(robot: Robot, file: str) -> tuple[ArmMesh, ...]:
     for shape in geometry.geometryObjects:
         triangles = _triangles(shape)
         if triangles is None or not np.isfinite(triangles).all():
-            return ()  # primitive or damaged shapes; the capsules show the arm
+            return []  # primitive or damaged shapes; the capsules show the arm
         meshes.append((links.get(reduced.names[shape.parentJoint], 0), triangles))
     if sum(len(triangles) for _, triangles in meshes) > MOST_TRIANGLES:
-        return ()
-    return tuple(ArmMesh(link, stl_bytes(triangles)) for link, triangles in meshes)
+        return []
+    return [ArmMesh(link, stl_bytes(triangles)) for link, triangles in meshes]
 
 
 def stl_bytes(triangles: Array) -> bytes:

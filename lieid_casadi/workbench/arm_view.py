@@ -10,7 +10,7 @@ from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 from nicegui.events import SceneClickEventArguments, ValueChangeEventArguments
 
-from lieid_casadi.workbench.arm import ArmSolid
+from lieid_casadi.workbench.arm import ArmMesh
 from lieid_casadi.workbench.elements import SCALE, View, icon_button, named, ratio, ratio_colour
 from lieid_casadi.workbench.workbench import Workbench
 
@@ -27,8 +27,7 @@ class ArmView(View):
         self._moved = moved
         self._opened: object = None
         self._links: list[Object3D] = []
-        self._solids: list[tuple[ArmSolid, list[Object3D]]] = []
-        self._meshes: list[tuple[int, Object3D]] = []
+        self._meshes: list[tuple[ArmMesh, Object3D]] = []
         self._frame = -1
         self._colours: list[str] = []
         self._drawn: tuple[int, list[str]] | None = None
@@ -77,9 +76,9 @@ class ArmView(View):
             self._show(float(self._slider.value or 0.0))
 
     def _build(self) -> None:
-        """Make the solids of the links."""
+        """Make the surfaces of the links."""
         self._scene.delete_objects()
-        self._links, self._solids, self._meshes, self._frame = [], [], [], -1
+        self._links, self._meshes, self._frame = [], [], -1
         self._drawn = None
         opened = self.workbench.opened
         if opened is None:
@@ -89,13 +88,11 @@ class ArmView(View):
             for link in range(len(opened.joint_names) + 1):
                 with scene.group() as group:
                     self._links.append(group)
-                    for solid in (s for s in opened.solids if s.link == link):
-                        if solid.drum or not opened.meshes:
-                            self._solids.append((solid, _draw(self._scene, solid)))
                     for k, mesh in enumerate(opened.meshes):
                         if mesh.link == link:
                             made = scene.stl(f"/mesh/{self.workbench.name}/{k}.stl")
-                            self._meshes.append((link, made.with_name(_name(link))))
+                            name = f"joint{link}" if link else "base"
+                            self._meshes.append((mesh, made.with_name(name)))
 
     def _look(self) -> None:
         """Let the camera see the whole motion."""
@@ -119,12 +116,9 @@ class ArmView(View):
         if (session.joint, self._colours) == self._drawn:
             return
         self._drawn = session.joint, self._colours
-        for link, mesh in self._meshes:
-            mesh.material(self._colours[link])
-        for solid, parts in self._solids:
-            for part in parts:
-                part.material(SELECTED if solid.drum else self._colours[solid.link])
-                part.visible(not solid.drum or solid.link - 1 == session.joint)
+        for mesh, part in self._meshes:
+            part.material(SELECTED if mesh.drum else self._colours[mesh.link])
+            part.visible(not mesh.drum or mesh.link - 1 == session.joint)
 
     def _set_range(self) -> None:
         """Let the slider span the range of time that the torque plot shows."""
@@ -176,24 +170,3 @@ class ArmView(View):
             workbench.show(
                 replace(workbench.session, joint=int(names[0].removeprefix("joint")) - 1)
             )
-
-
-def _name(link: int) -> str:
-    """Return the name of a link's solids, by which a click selects its joint."""
-    return f"joint{link}" if link else "base"
-
-
-def _draw(scene: ui.scene, solid: ArmSolid) -> list[Object3D]:
-    """Draw a capsule or a drum; a click on it selects the joint."""
-    name = _name(solid.link)
-    middle, rotation = solid.middle, solid.rotation
-    parts: list[Object3D] = []
-    if solid.length > 0.0:
-        rod = scene.cylinder(solid.radius, solid.radius, solid.length, radial_segments=20)
-        parts.append(rod.rotate_R(rotation.tolist()).move(*middle.tolist()))
-    if not solid.drum:
-        for side in (-0.5, 0.5):
-            end = middle + side * solid.length * rotation[:, 1]
-            ball = scene.sphere(solid.radius, width_segments=16, height_segments=10)
-            parts.append(ball.move(*end.tolist()))
-    return [part.with_name(name) for part in parts]

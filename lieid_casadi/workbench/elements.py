@@ -17,6 +17,7 @@ E = TypeVar("E", bound=Element)
 UNKNOWN = "–"
 UNKNOWN_COLOUR = "#b8bec4"
 BAND, COMPARED, FIRST = "#9fb6c6", "#009e73", "#9aa5b1"
+PLAIN = {"animation": False, "textStyle": {"fontFamily": "inherit"}}  # options of all charts
 #: Largest error over noise floor of each class and its colour; readable without red and green.
 SCALE = (
     (AS_NOISE, "#7fb8dc"),

@@ -21,7 +21,7 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.report.reports import diagnosis_summary
 from lieid_casadi.tables import Table, make_table
-from lieid_casadi.workbench.arm import ArmMesh, ArmSolid, arm_meshes, arm_solids
+from lieid_casadi.workbench.arm import ArmMesh, arm_meshes
 from lieid_casadi.workbench.session import (
     FoundEffects,
     Numbers,
@@ -60,7 +60,7 @@ class OpenedInputs:
     """What was opened.
 
     ``units`` are those of each joint's torque, N·m or N; ``effects`` the labels of the first
-    model's placements; ``meshes`` those of a URDF whose files are found, in place of capsules.
+    model's placements.
     """
 
     robot: str
@@ -69,7 +69,6 @@ class OpenedInputs:
     revolute: tuple[bool, ...]
     effects: tuple[str, ...]
     recordings: tuple[OpenedRecording, ...]
-    solids: tuple[ArmSolid, ...]
     meshes: tuple[ArmMesh, ...]
 
 
@@ -96,7 +95,6 @@ def opened_inputs(model: Model, recordings: Sequence[Recording], *, file: str) -
             )
             for r in recordings
         ),
-        solids=arm_solids(robot),
         meshes=arm_meshes(robot, file),
     )
 

@@ -1,9 +1,10 @@
-"""The joints with their errors, the history of models, and all joints at a glance."""
+"""The joints with their errors, the history of models, all joints and models at a glance."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -13,7 +14,11 @@ from lieid_casadi.comparison.plot_style import ERROR, MEASURED, PREDICTED, envel
 from lieid_casadi.comparison.series import Series
 from lieid_casadi.workbench.elements import (
     BAND,
+    COMPARED,
+    FIRST,
+    PLAIN,
     UNKNOWN,
+    Chart,
     Parts,
     View,
     cut_part,
@@ -27,7 +32,7 @@ from lieid_casadi.workbench.elements import (
     text,
 )
 from lieid_casadi.workbench.evaluation import SimulationError, series_of
-from lieid_casadi.workbench.session import ModelStep, StepErrors
+from lieid_casadi.workbench.session import ModelStep, Numbers, StepErrors
 from lieid_casadi.workbench.workbench import Workbench
 
 SMALL_COLUMNS = 150  # of the plot of one joint in the overview
@@ -234,3 +239,79 @@ def _joint_svg(series: list[Series], joint: int, floor: float | None, unit: str)
     ranges = f"±{figures(size, digits=2)}, error ±{figures(error, digits=2)} {unit}"
     lines.append(f'<text x="0" y="102" font-size="13" fill="#52606d">{ranges}</text>')
     return Markup(f'<svg viewBox="0 0 200 106" width="100%" role="img">{"".join(lines)}</svg>')
+
+
+class WaterfallView(View):
+    """Bars: unseen error of the first and the shown model; diamonds: training; dashes: noise."""
+
+    def __init__(self, workbench: Workbench) -> None:
+        super().__init__(workbench)
+        with ui.column().classes("panel w-full h-full"):
+            self._title = text("Error of the models, first model = 1", "panel-title")
+            self._chart = Chart("waterfall", _waterfall_options([], None))
+
+    def update(self) -> None:
+        """Draw the first model, the one that is shown, and the compared one."""
+        session, playing = self.workbench.session, self.workbench.playing
+        history, compared = session.history, self.workbench.view.compared
+        chosen = {k: COMPARED for k in (compared,) if k is not None and k < len(history)}
+        chosen = {0: FIRST, session.position: PREDICTED} | chosen | {0: FIRST}
+        models = [
+            (f"{k + 1}. {history[k].title}", colour, history[k].errors)
+            for k, colour in chosen.items()
+            if history
+        ]
+        known = [(title, colour, errors) for title, colour, errors in models if errors is not None]
+        if known and len(known) == len(models) and self.is_new(known, playing):
+            self._chart.show(_waterfall_options(known, playing))
+
+
+def relative(values: Numbers, first: Numbers) -> list[float | None]:
+    """Return values relative to those of the first model, None where one is unknown."""
+    return [
+        None if value is None or not start else round(value / start, 4)
+        for value, start in zip(values, first, strict=True)
+    ]
+
+
+def _waterfall_options(
+    models: list[tuple[str, str, StepErrors]], playing: Numbers | None
+) -> dict[str, Any]:
+    """Return bars of each model (title, colour, errors); the second one's may be on their way."""
+    series: list[dict[str, Any]] = []
+    for k, (title, colour, errors) in enumerate(models):
+        shown = playing if k == 1 and playing is not None else errors.shown
+        series.append(
+            {"id": f"model {k}", "type": "bar", "name": _shortened(title), "color": colour,
+             "barGap": "8%", "data": relative(shown, models[0][2].shown)}
+        )  # fmt: skip
+    if models:
+        first, last = models[0][2], models[min(1, len(models) - 1)][2]
+        trained = relative(last.train, first.train) if any(first.train) else []
+        series += [
+            {"id": "training", "type": "scatter", "name": "training", "symbol": "diamond",
+             "symbolSize": 9, "data": trained, "z": 5,
+             "itemStyle": {"color": "white", "borderColor": "#222222", "borderWidth": 1.2}},
+            {"id": "noise", "type": "scatter", "name": "noise floor", "symbol": "rect",
+             "symbolSize": [26, 2], "color": "#222222", "z": 5,
+             "data": relative(last.noise_floor, first.shown)},
+        ]  # fmt: skip
+    joints = range(1, len(models[0][2].shown) + 1) if models else ()
+    return {
+        **PLAIN,
+        "animation": playing is not None,
+        "animationDurationUpdate": 300,
+        "grid": {"left": 46, "right": 8, "top": 40, "bottom": 34},
+        "legend": {"type": "plain", "top": 0, "left": 0, "itemWidth": 12, "itemHeight": 8,
+                   "itemGap": 8, "textStyle": {"fontSize": 11}},
+        "tooltip": {"trigger": "axis"},
+        "xAxis": {"type": "category", "data": [str(j) for j in joints], "name": "joint",
+                  "nameLocation": "middle", "nameGap": 20, "axisLabel": {"interval": 0}},
+        "yAxis": {"type": "value", "min": 0, "name": "error / that of the first model",
+                  "nameLocation": "middle", "nameGap": 32},
+        "series": series,
+    }  # fmt: skip
+
+
+def _shortened(title: str, most: int = 26) -> str:
+    return title if len(title) <= most else title[: most - 1] + "…"

@@ -23,14 +23,13 @@ from lieid_casadi.workbench.elements import (
     text,
 )
 from lieid_casadi.workbench.evaluation import page_tables
-from lieid_casadi.workbench.joints import HistoryView, JointsView, Overview
+from lieid_casadi.workbench.joints import HistoryView, JointsView, Overview, WaterfallView
 from lieid_casadi.workbench.open_panel import OpenPanel
 from lieid_casadi.workbench.plots import (
     CorrelationPlot,
     ResidualPlot,
     SpectrumPlot,
     TorquePlot,
-    WaterfallView,
 )
 from lieid_casadi.workbench.premises import PremisesView
 from lieid_casadi.workbench.workbench import SOON, Workbench

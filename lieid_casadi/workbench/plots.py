@@ -1,4 +1,4 @@
-"""Plots of the page: torque over time, what the error follows, its correlation, the models."""
+"""Plots of the page: torque over time, what the error follows, its correlation, its spectrum."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from lieid_casadi.comparison.series import (
 )
 from lieid_casadi.workbench.elements import (
     COMPARED,
-    FIRST,
+    PLAIN,
     Chart,
     View,
     button,
@@ -42,14 +42,12 @@ from lieid_casadi.workbench.elements import (
     text,
 )
 from lieid_casadi.workbench.evaluation import series_of
-from lieid_casadi.workbench.session import Numbers, StepErrors
 from lieid_casadi.workbench.workbench import Workbench
 
 COLUMNS = 900  # pixels of the plot: minimum and maximum are kept for each
 MOST_SAMPLES = 350  # of one direction in a plot of the error
 NEAR = 0.03  # of the range of a spectrum: a click so near means a peak
 EXCLUDED = "#b0b6bc"
-PLAIN = {"animation": False, "textStyle": {"fontFamily": "inherit"}}
 LEGEND = {"top": 0, "right": 10, "itemHeight": 8, "textStyle": {"fontSize": 11}}
 Line = list[list[float | None]]  # [x, y] pairs; a pair of None interrupts the line
 # Dragging selects; with shift it moves the plot, for which the brush has to let go. A click shows
@@ -368,7 +366,45 @@ def _over(title: str, unit: str, signal: Array, error: Array, sign: Array) -> Er
     return ErrorOverSignal(title, unit, *samples, *means[:2])
 
 
-class ResidualPlot(View):
+class Shown(NamedTuple):
+    """The series of the recording that is shown, and facts about the selected joint."""
+
+    series: list[Series]
+    joint: int
+    floor: float | None
+    unit: str
+    revolute: bool
+    cutoff: float
+
+
+class SeriesView(View):
+    """A plot of the selected joint along the recording; `draw` is called when these change."""
+
+    def update(self) -> None:
+        """Draw what is shown if it is new."""
+        workbench = self.workbench
+        evaluation, session, opened = workbench.evaluation, workbench.session, workbench.opened
+        if evaluation is None or opened is None:
+            return
+        joint, floor = session.joint, evaluation.errors.noise_floor[session.joint]
+        view = (session.degrees, workbench.view.selection or workbench.view.window)
+        name = opened.recordings[session.recording].name
+        if self.is_new(
+            evaluation.train, evaluation.test, name, joint, floor, view if self.of_view else None
+        ):
+            series = series_of(evaluation, name)
+            facts = (opened.units[joint], opened.revolute[joint], evaluation.cutoff)
+            self.draw(Shown(series, joint, floor, *facts))
+
+    #: Whether the plot depends on the unit of angles and the range of time that is visible.
+    of_view = False
+
+    def draw(self, shown: Shown) -> None:
+        """Draw the plot."""
+        raise NotImplementedError
+
+
+class ResidualPlot(SeriesView):
     """One panel per signal; forward and backward motion have their own colours and means."""
 
     def __init__(self, workbench: Workbench) -> None:
@@ -385,29 +421,18 @@ class ResidualPlot(View):
         workbench = self.workbench
         workbench.show(replace(workbench.session, degrees=bool(event.value)))
 
-    def update(self) -> None:
-        """Draw the selected range of the recording that is shown."""
-        workbench = self.workbench
-        evaluation, session, opened = workbench.evaluation, workbench.session, workbench.opened
-        if evaluation is None or opened is None:
-            return
-        window, joint = workbench.view.selection or workbench.view.window, session.joint
-        floor = evaluation.errors.noise_floor[joint]
-        if not self.is_new(
-            evaluation.train, evaluation.test, floor, joint, session.recording, window,
-            session.degrees,
-        ):  # fmt: skip
-            return
+    of_view = True
+
+    def draw(self, shown: Shown) -> None:
+        """Draw the selected range of the recording."""
+        view, degrees = self.workbench.view, self.workbench.session.degrees
+        window = view.selection or view.window
         panels = errors_over_signals(
-            series_of(evaluation, opened.recordings[session.recording].name),
-            joint,
-            window,
-            revolute=opened.revolute[joint],
-            degrees=session.degrees,
+            shown.series, shown.joint, window, revolute=shown.revolute, degrees=degrees
         )
         where = "" if window is None else f", {window[0]:.2f} to {window[1]:.2f} s"
-        set_text(self._title, f"What the error of joint {joint + 1} follows{where}")
-        self._chart.show(_residual_options(panels, floor, opened.units[joint]))
+        set_text(self._title, f"What the error of joint {shown.joint + 1} follows{where}")
+        self._chart.show(_residual_options(panels, shown.floor, shown.unit))
 
 
 def _axes(titles: list[str], y_name: str, *, limit: float | None = None) -> dict[str, Any]:
@@ -473,7 +498,7 @@ def _residual_options(
     }
 
 
-class CorrelationPlot(View):
+class CorrelationPlot(SeriesView):
     """Auto-correlation of the error, and its correlation with speed and acceleration."""
 
     def __init__(self, workbench: Workbench) -> None:
@@ -482,21 +507,11 @@ class CorrelationPlot(View):
             self._title = text("Correlation of the error", "panel-title")
             self._chart = Chart("correlation-plot", _correlation_options([]))
 
-    def update(self) -> None:
-        """Draw the recording that is shown."""
-        workbench = self.workbench
-        evaluation, session, opened = workbench.evaluation, workbench.session, workbench.opened
-        if evaluation is None or opened is None:
-            return
-        joint = session.joint
-        if not self.is_new(evaluation.train, evaluation.test, joint, session.recording):
-            return
-        series = series_of(evaluation, opened.recordings[session.recording].name)
-        found = residual_correlations(series, joint, evaluation.cutoff)
-        set_text(
-            self._title,
-            f"Correlation of the error of joint {joint + 1}; grey: 99 % of what noise gives",
-        )
+    def draw(self, shown: Shown) -> None:
+        """Draw the correlations along the recording."""
+        found = residual_correlations(shown.series, shown.joint, shown.cutoff)
+        title = f"Correlation of the error of joint {shown.joint + 1}"
+        set_text(self._title, f"{title}; grey: 99 % of what noise gives")
         self._chart.show(_correlation_options(found))
 
 
@@ -524,12 +539,13 @@ def _correlation_options(found: list[Correlation]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-class SpectrumPlot(View):
+class SpectrumPlot(SeriesView):
     """Spectrum of the error; a click on a peak shows when it happens."""
 
     def __init__(self, workbench: Workbench) -> None:
         super().__init__(workbench)
         self._frequency, self._amplitude = np.zeros(0), np.zeros(0)
+        self._drawn: Shown | None = None
         with ui.column().classes("panel w-full"):
             with ui.row().classes("w-full items-center no-wrap gap-1"):
                 self._title = text("Spectrum of the error", "panel-title grow", "spectrum-title")
@@ -540,43 +556,33 @@ class SpectrumPlot(View):
         script = _EMIT_FREQUENCY.replace("ID", str(self._chart.element.id))
         self._chart.element.client.run_javascript(script)
 
-    def update(self) -> None:
-        """Draw the recording that is shown."""
-        workbench = self.workbench
-        evaluation, session, opened = workbench.evaluation, workbench.session, workbench.opened
-        if evaluation is None or opened is None:
-            return
-        joint, floor = session.joint, evaluation.errors.noise_floor[session.joint]
-        if not self.is_new(evaluation.train, evaluation.test, joint, session.recording, floor):
-            return
-        series = series_of(evaluation, opened.recordings[session.recording].name)
-        found = residual_spectrum(series, joint, evaluation.cutoff)
+    def draw(self, shown: Shown) -> None:
+        """Draw the spectrum along the recording."""
+        self._drawn = shown
+        found = residual_spectrum(shown.series, shown.joint, shown.cutoff)
         self._frequency, self._amplitude = found
-        set_text(self._title, f"Spectrum of the error of joint {joint + 1}; click a peak")
+        set_text(self._title, f"Spectrum of the error of joint {shown.joint + 1}; click a peak")
         # white noise of the size of the noise floor has this amplitude at each frequency
-        level = None if floor is None else floor / math.sqrt(max(len(found[0]), 1))
-        self._chart.show(_spectrum_options(*found, level, opened.units[joint]))
+        level = None if shown.floor is None else shown.floor / math.sqrt(max(len(found[0]), 1))
+        self._chart.show(_spectrum_options(*found, level, shown.unit))
 
     def _clicked(self, event: GenericEventArguments) -> None:
-        if isinstance(event.args, (int, float)) and len(self._frequency) > 1:
+        if isinstance(event.args, (int, float)) and len(self._frequency):
             near = np.abs(self._frequency - event.args) <= NEAR * self._frequency[-1]
             self._show_peak(int(np.argmax(np.where(near, self._amplitude, -1.0))))
 
     def _largest(self) -> None:
-        if len(self._frequency) > 1:
+        if len(self._frequency):
             self._show_peak(int(np.argmax(self._amplitude)))
 
     def _show_peak(self, k: int) -> None:
         """Show on the arm when the error oscillates most with the k-th frequency."""
-        workbench = self.workbench
-        evaluation, session, opened = workbench.evaluation, workbench.session, workbench.opened
-        if evaluation is None or opened is None:
-            return
-        series = series_of(evaluation, opened.recordings[session.recording].name)
-        time = strongest_at(series, session.joint, float(self._frequency[k]))
-        workbench.look(replace(workbench.view, instant=time))
-        what = f"{figures(float(self._frequency[k]))} Hz: largest at {time:.2f} s"
-        set_text(self._title, f"Spectrum of the error of joint {session.joint + 1}; {what}")
+        assert self._drawn is not None
+        joint, frequency = self._drawn.joint, float(self._frequency[k])
+        time = strongest_at(self._drawn.series, joint, frequency)
+        self.workbench.look(replace(self.workbench.view, instant=time))
+        what = f"{figures(frequency)} Hz: largest at {time:.2f} s"
+        set_text(self._title, f"Spectrum of the error of joint {joint + 1}; {what}")
 
 
 def _spectrum_options(
@@ -599,79 +605,3 @@ def _spectrum_options(
              "lineStyle": {"type": "dashed", "width": 1.2}, "data": ends},
         ],
     }  # fmt: skip
-
-
-class WaterfallView(View):
-    """Bars: unseen error of the first and the shown model; diamonds: training; dashes: noise."""
-
-    def __init__(self, workbench: Workbench) -> None:
-        super().__init__(workbench)
-        with ui.column().classes("panel w-full h-full"):
-            self._title = text("Error of the models, first model = 1", "panel-title")
-            self._chart = Chart("waterfall", _waterfall_options([], None))
-
-    def update(self) -> None:
-        """Draw the first model, the one that is shown, and the compared one."""
-        session, playing = self.workbench.session, self.workbench.playing
-        history, compared = session.history, self.workbench.view.compared
-        chosen = {k: COMPARED for k in (compared,) if k is not None and k < len(history)}
-        chosen = {0: FIRST, session.position: PREDICTED} | chosen | {0: FIRST}
-        models = [
-            (f"{k + 1}. {history[k].title}", colour, history[k].errors)
-            for k, colour in chosen.items()
-            if history
-        ]
-        known = [(title, colour, errors) for title, colour, errors in models if errors is not None]
-        if known and len(known) == len(models) and self.is_new(known, playing):
-            self._chart.show(_waterfall_options(known, playing))
-
-
-def relative(values: Numbers, first: Numbers) -> list[float | None]:
-    """Return values relative to those of the first model, None where one is unknown."""
-    return [
-        None if value is None or not start else round(value / start, 4)
-        for value, start in zip(values, first, strict=True)
-    ]
-
-
-def _waterfall_options(
-    models: list[tuple[str, str, StepErrors]], playing: Numbers | None
-) -> dict[str, Any]:
-    """Return bars of each model (title, colour, errors); the second one's may be on their way."""
-    series: list[dict[str, Any]] = []
-    for k, (title, colour, errors) in enumerate(models):
-        shown = playing if k == 1 and playing is not None else errors.shown
-        series.append(
-            {"id": f"model {k}", "type": "bar", "name": _shortened(title), "color": colour,
-             "barGap": "8%", "data": relative(shown, models[0][2].shown)}
-        )  # fmt: skip
-    if models:
-        first, last = models[0][2], models[min(1, len(models) - 1)][2]
-        trained = relative(last.train, first.train) if any(first.train) else []
-        series += [
-            {"id": "training", "type": "scatter", "name": "training", "symbol": "diamond",
-             "symbolSize": 9, "data": trained, "z": 5,
-             "itemStyle": {"color": "white", "borderColor": "#222222", "borderWidth": 1.2}},
-            {"id": "noise", "type": "scatter", "name": "noise floor", "symbol": "rect",
-             "symbolSize": [26, 2], "color": "#222222", "z": 5,
-             "data": relative(last.noise_floor, first.shown)},
-        ]  # fmt: skip
-    joints = range(1, len(models[0][2].shown) + 1) if models else ()
-    return {
-        **PLAIN,
-        "animation": playing is not None,
-        "animationDurationUpdate": 300,
-        "grid": {"left": 46, "right": 8, "top": 40, "bottom": 34},
-        "legend": {"type": "plain", "top": 0, "left": 0, "itemWidth": 12, "itemHeight": 8,
-                   "itemGap": 8, "textStyle": {"fontSize": 11}},
-        "tooltip": {"trigger": "axis"},
-        "xAxis": {"type": "category", "data": [str(j) for j in joints], "name": "joint",
-                  "nameLocation": "middle", "nameGap": 20, "axisLabel": {"interval": 0}},
-        "yAxis": {"type": "value", "min": 0, "name": "error / that of the first model",
-                  "nameLocation": "middle", "nameGap": 32},
-        "series": series,
-    }  # fmt: skip
-
-
-def _shortened(title: str, most: int = 26) -> str:
-    return title if len(title) <= most else title[: most - 1] + "…"

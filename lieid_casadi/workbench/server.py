@@ -264,7 +264,8 @@ def _application(sessions: Sessions, token: str) -> FastAPI:
         opened = sessions.opened(name)
         if opened is None or not 0 <= number < len(opened.meshes):
             return Response(status_code=404)
-        return Response(opened.meshes[number].stl, media_type="model/stl")
+        header = {"Cache-Control": "no-store"}  # another arm has the same addresses
+        return Response(opened.meshes[number].stl, media_type="model/stl", headers=header)
 
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     ui.run_with(app, show_welcome_message=False, reconnect_timeout=RECONNECT_SECONDS, tailwind=True)

@@ -344,12 +344,11 @@ class Workbench:
 
     async def _check(self) -> None:
         """Test the premises, while the first model is fitted."""
-        inputs, made = self.session.inputs, "stopped"
-        with contextlib.suppress(WorkerStopped):
-            try:
-                made = await self._back.request("premises", inputs)
-            except WorkerError as error:
-                made = str(error)
+        inputs = self.session.inputs
+        try:
+            made = await self._back.request("premises", inputs)
+        except LieidError as error:
+            made = str(error)
         if self.session.inputs is inputs:
             self.premises = made
             self.changed()

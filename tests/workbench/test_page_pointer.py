@@ -9,11 +9,11 @@ const view = document.querySelector('[data-testid="arm-view"]');
 const arm = getElement(view.id.slice(1)), canvas = view.querySelector('canvas');
 let link = null;
 arm.scene.traverse((part) => {
-  if (part.name === arguments[0] && part.visible && part.geometry?.type === 'CylinderGeometry')
-    link = part;
+  if (!link && part.parent?.name === arguments[0] && part.geometry) link = part;
 });
 if (!link || canvas.getBoundingClientRect().width < 10) return null;
-const at = link.getWorldPosition(link.position.clone()).project(arm.camera);
+link.geometry.computeBoundingSphere();
+const at = link.localToWorld(link.geometry.boundingSphere.center.clone()).project(arm.camera);
 return [0.5 * at.x * canvas.clientWidth, -0.5 * at.y * canvas.clientHeight];
 """
 SAME = 20  # equal values one after the other
