@@ -110,7 +110,7 @@ class _EffectMenu:
         groups = {**KINDS, "Others": tuple(name for name in plain if name not in known)}
         shown: list[Markup] = []
         for kind, names in groups.items():
-            rows = [(name, _one_line(name)) for name in names if name in REGISTER]
+            rows = [(name, _one_line(make(name))) for name in names if name in REGISTER]
             rows = [r for r in rows if all(w in f"{kind} {' '.join(r)}".lower() for w in words)]
             if rows:
                 shown.append(part("menu-kind", kind))
@@ -137,9 +137,8 @@ class _EffectMenu:
         await self._workbench.apply(session.with_added(label))
 
 
-def _one_line(name: str) -> str:
+def _one_line(effect: Effect) -> str:
     """Return the first line of the description of an effect, else its formula."""
-    effect = make(name)
     line = (type(effect).__doc__ or "").strip().split("\n")[0] or effect.formula
     return line.replace("`", "").partition(": τ")[0].rstrip(".")
 
@@ -148,7 +147,7 @@ def _card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bo
     """Return an effect with its values, and its torque once it is computed."""
     shown = [
         part("card-head", part("strong grow", row.label), _remove(row.label) if removable else ""),
-        part("formula", Markup(formula_html(row.formula))),
+        part("formula", Markup(formula_html(row.effect.formula))),
         cut_part("muted small ellipsis", _one_line(row.effect)),
         *(part("value", value) for value in row.values[:MOST_VALUES]),
     ]
@@ -157,7 +156,7 @@ def _card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bo
         shown.append(part("value muted", more, tip="; ".join(row.values)))
     if curve is not None:
         shown.append(_curve_svg(curve, unit))
-    shown.append(_facts(make(row.effect)))
+    shown.append(_facts(row.effect))
     return part("card", *shown, id=f"effect-{place(row.label)}")
 
 

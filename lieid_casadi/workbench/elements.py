@@ -36,6 +36,9 @@ addEventListener('focusin', (event) => {
   const part = event.target.closest('[data-action]');
   acted = part && { list: part.closest('.parts'), action: part.dataset.action };
 });
+addEventListener('pointerdown', (event) => {
+  if (!event.target.closest('[data-action]')) acted = null;
+});
 new MutationObserver(() => {
   if (!acted || document.activeElement !== document.body) return;
   const same = acted.list?.querySelector(`[data-action="${CSS.escape(acted.action)}"]`);

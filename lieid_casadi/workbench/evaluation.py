@@ -45,13 +45,11 @@ AXES = {
 
 @dataclass(frozen=True)
 class OpenedRecording:
-    """Facts about one recording: its rows, first and last time in s, rate in Hz, warnings."""
+    """Facts about one recording: first and last time in s, warnings."""
 
     name: str
-    rows: int
     start: float
     end: float
-    rate: float
     warnings: tuple[str, ...]
 
 
@@ -87,10 +85,8 @@ def opened_inputs(model: Model, recordings: Sequence[Recording], *, file: str) -
         recordings=tuple(
             OpenedRecording(
                 name=r.name,
-                rows=len(r),
                 start=float(r.t[0]),
                 end=float(r.t[-1]),
-                rate=float(r.rate),
                 warnings=tuple(str(w) for w in check(r, robot)),
             )
             for r in recordings
@@ -119,10 +115,13 @@ class EffectRow:
     """
 
     label: str
-    effect: str
     joint: int | None
-    formula: str
     values: tuple[str, ...]
+
+    @property
+    def effect(self) -> Effect:
+        """Its definition."""
+        return make(self.label.partition(":")[0])
 
 
 @dataclass(frozen=True)
@@ -191,7 +190,7 @@ def page_tables(session: Session, opened: OpenedInputs, evaluation: Evaluation) 
         [p.label, p.status, p.before, p.after, p.selected, p.sentence or p.value]
         for p in (session.found.proposed if session.found is not None else ())
     ]
-    effects = [[row.label, row.formula, *row.values] for row in evaluation.effects]
+    effects = [[row.label, row.effect.formula, *row.values] for row in evaluation.effects]
     widest = max((len(row) for row in effects), default=2)
     columns = ["effect", "formula", *(f"value {k}" for k in range(1, widest - 1))]
     return [
@@ -215,13 +214,10 @@ def effect_rows(fit: Fit, changes: Sequence[ProposedEffect]) -> tuple[EffectRow,
         label, joint = p.effect.label, None if p.whole_arm else p.joint
         absorbed = f"{label} is not identifiable apart from the other parameters"
         shown = tuple(values.get((label, p.joint), ())) or (absorbed,)
-        rows.append(EffectRow(p.label, p.effect.name, joint, p.effect.formula, shown))
+        rows.append(EffectRow(p.label, joint, shown))
     for c in changes:
-        joint, formula = (
-            c.joints[0] - 1 if c.joints else None,
-            make(c.label.partition(":")[0]).formula,
-        )
-        rows.append(EffectRow(c.label, c.effect, joint, formula, (f"change: {c.value}",)))
+        joint = c.joints[0] - 1 if c.joints else None
+        rows.append(EffectRow(c.label, joint, (f"change: {c.value}",)))
     return tuple(rows)
 
 

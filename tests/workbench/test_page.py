@@ -12,6 +12,7 @@ def test_the_missing_effect_is_found_and_added(start, browse, two_link_files):
     page.wait(lambda: before > 5.0 * float(page.text("noise-1").split()[-1]), "the noise floor")
     assert page.number("error-2") < before
     assert not page.elements("candidate-load_friction-1")
+    the_keyboard_selects_a_joint(page)
     page.click("find-missing")
     page.wait(lambda: page.text("candidate-load_friction-1"), "the proposal")
     assert page.number("error-1") == before  # the search adds nothing by itself
@@ -30,6 +31,15 @@ def test_the_missing_effect_is_found_and_added(start, browse, two_link_files):
     _only_own_requests(page, server)
     assert page.script_errors() == []
     assert server.stop() == (0, "")
+
+
+def the_keyboard_selects_a_joint(page):
+    """Enter selects the joint that has the focus; it keeps the focus when it is drawn again."""
+    for joint in ("joint-2", "joint-1"):
+        page.driver.execute_script("arguments[0].focus()", page.element(joint))
+        page.driver.switch_to.active_element.send_keys("\n")
+        page.wait(lambda j=joint: "selected" in page.element(j).get_attribute("class"), joint)
+        assert page.driver.switch_to.active_element.get_attribute("data-testid") == joint
 
 
 def error_with(label, train, test):
