@@ -93,38 +93,6 @@ def test_warnings_of_libraries_are_not_printed(tmp_path):
     assert "VelocityMismatch" in done.stdout
 
 
-CLOSING = (
-    '<joint name="bar" type="revolute"><parent link="base"/><child link="fore"/>'
-    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
-)
-SCREW = "name: arm\njoints:\n  - {{name: a, screw: {}}}\n"
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
-        *(("arm.urdf", urdf(kind=k), ["shoulder", k]) for k in ("floating", "planar", "ball")),
-        ("arm.urdf", urdf(more=CLOSING), ["loop", "fore"]),
-        ("arm.urdf", "robot: arm", ["not XML"]),
-        (
-            "arm.urdf",
-            '<robot xmlns:xacro="http://ros.org/xacro"><xacro:include filename="a"/></robot>',
-            ["no links", "xacro"],
-        ),
-        ("arm.yaml", SCREW.format("[0, 2, 0, 0, 0, 0]"), ["joints[0]", "|ω| = 2", "expected 1"]),
-        ("arm.yaml", SCREW.format("[0, 1, 0, 0, 1, 0]"), ["joints[0]", "screw"]),
-    ],
-)
-def test_robots(run, tmp_path, name, text, words):
-    (tmp_path / name).write_text(text)
-    refused(run("show", tmp_path / name), name, *words)
-
-
-def test_robots_that_do_not_exist(run, good):
-    refused(run("identify", "no.urdf", good), "no.urdf", "no such file")
-    refused(run("identify", "armadillo", good), "armadillo", "two_link")
-
-
 def test_a_urdf_without_inertias_identifies_all_the_same(run, tmp_path, good):
     path = tmp_path / "arm.urdf"
     path.write_text(urdf(inertial=""))  # its zero is another than that of the recorded arm

@@ -48,14 +48,6 @@ def test_fit_files(run, tmp_path, good, fit_text, damage, words):
     assert not (tmp_path / "p.csv").exists()
 
 
-def test_output_that_cannot_be_written(run, tmp_path, good):
-    (tmp_path / "file").write_text("")
-    place = tmp_path / "file" / "fit.json"
-    refused(run("identify", "two_link", good, "-o", place), "file", "not a folder")
-    refused(run("identify", "two_link", good, "-o", tmp_path), "folder")
-    refused(run("identify", "two_link", good, "-o", ""), "path of an output is empty")
-
-
 def test_bad_input_writes_nothing(run, tmp_path):
     out = tmp_path / "new" / "fit.json"
     refused(run("identify", "two_link", tmp_path / "no.csv", "-o", out))
@@ -175,11 +167,6 @@ def test_a_killed_run_leaves_no_half_written_fit(tmp_path, good):
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
     assert done.returncode == -9
     assert path.read_text() == "old"
-
-
-def test_several_numbers_are_separated_by_spaces(run, tmp_path):
-    words = ["excite", "two_link", "-o", tmp_path / "out", "--start-pose", "0.1,0.2"]
-    refused(run(*words), "--start-pose", "separated by spaces")
 
 
 @pytest.mark.parametrize("options", [[], ["--test", "run.csv"], ["run.csv", "--train", "run.csv"]])

@@ -53,23 +53,6 @@ def test_identify_writes_fit_json_and_report(runs, tmp_path, capsys):
     assert lieid.Fit.load(fit).model.effects == ["coulomb", "viscous", "offset"]
 
 
-def test_without_a_test_errors_are_cross_validated(runs, tmp_path):
-    out = tmp_path / "a.json"
-    assert main(["identify", "two_link", runs[0], "--json", str(out)]) == 0
-    content = json.loads(out.read_text())
-    assert content["rms_test"] is None
-    assert content["correlation_test"] is None
-    assert content["rms_test_raw"] is None
-    assert len(content["rms_cv"]) == 2
-
-
-def test_parts_of_a_recording(runs, tmp_path):
-    out = tmp_path / "a.json"
-    arguments = ["identify", "two_link", f"{runs[0]}@0:6", "--test", f"{runs[0]}@6:"]
-    assert main([*arguments, "--json", str(out)]) == 0
-    assert json.loads(out.read_text())["rms_test"] is not None
-
-
 def test_predict_and_compare(runs, tmp_path, capsys):
     fit, predicted = tmp_path / "fit.json", tmp_path / "deep" / "er" / "p.csv"
     assert main(["identify", "two_link", runs[0], "-o", str(fit)]) == 0
@@ -87,24 +70,6 @@ def test_predict_and_compare(runs, tmp_path, capsys):
     assert "Largest errors" in capsys.readouterr().out
     assert len(json.loads(out.read_text())["rms"]) == 2
     assert picture.read_bytes().startswith(b"\x89PNG")
-
-
-def test_currents_become_torques(tmp_path):
-    table = columns()
-    gains = [2.0, 0.5]
-    for j, gain in enumerate(gains, start=1):
-        table[f"i{j}"] = table.pop(f"tau{j}") / gain
-    path, out = write(tmp_path / "a.csv", table), tmp_path / "a.json"
-    arguments = ["identify", "two_link", path, "--torque-constants", "2.0,0.5"]
-    assert main([*arguments, "--json", str(out)]) == 0
-    with_torque = tmp_path / "b.json"
-    path = write(tmp_path / "b.csv", columns())
-    assert main(["identify", "two_link", path, "--motor-side", "--json", str(with_torque)]) == 0
-    values = [
-        [p["value"] for p in json.loads(file.read_text())["parameters"]]
-        for file in (out, with_torque)
-    ]
-    np.testing.assert_allclose(values[0], values[1], rtol=1e-6, atol=1e-7)
 
 
 def test_show_names_the_base_parameters(tmp_path, capsys):

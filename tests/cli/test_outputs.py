@@ -34,15 +34,6 @@ def test_a_regular_file_is_replaced_and_keeps_its_mode(tmp_path):
     assert os.listdir(tmp_path) == ["a.json"]
 
 
-def test_a_new_file_has_the_mode_of_any_new_file(tmp_path):
-    old = os.umask(0o027)
-    try:
-        save(tmp_path / "deep" / "a.json")
-    finally:
-        os.umask(old)
-    assert stat.S_IMODE((tmp_path / "deep" / "a.json").stat().st_mode) == 0o640
-
-
 def test_symbolic_links_are_followed(tmp_path):
     (tmp_path / "store").mkdir()
     (tmp_path / "store" / "real").write_bytes(b"old")
@@ -114,16 +105,6 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch, fault):
     assert tree(tmp_path) == {"a.json": b"old"}
     save(path)
     assert tree(tmp_path) == {"a.json": b"new"}
-
-
-def test_folders_made_for_a_failed_write_are_removed(tmp_path, monkeypatch):
-    def full(*arguments):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OutputError):
-        save(tmp_path / "new" / "deep" / "a.json")
-    assert not os.listdir(tmp_path)
 
 
 def test_temporary_files_of_ended_runs_are_removed_and_those_of_others_kept(tmp_path):

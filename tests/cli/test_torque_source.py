@@ -87,33 +87,3 @@ def test_other_constants_than_those_of_the_fit_are_pointed_out(folder, capsys):
     assert main(command) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "differ from those of the fit: joint 2 9 (fit: 8)" in printed
-
-
-def test_identify_and_extend_state_errors_in_motion(folder, capsys):
-    train, test, out = (str(folder / f) for f in ("torque1.csv", "torque2.csv", "errors.json"))
-    fit = str(folder / "plain.json")
-    assert main(["identify", "two_link", train, "--test", test, "-o", fit, "--json", out]) == 0
-    errors = json.loads((folder / "errors.json").read_text())
-    assert errors["rms_test_moving"] == errors["test"]["rms_moving"]
-    printed = capsys.readouterr().out
-    assert printed.index("test in motion") < printed.index("at rest") < printed.index("train")
-    command = ["extend", fit, "--add", "armature:2", "--train", train, "--test", test]
-    assert main([*command, "--json", out]) == 0
-    after = json.loads((folder / "errors.json").read_text())
-    assert after["before"]["rms_test_moving"] == pytest.approx(errors["rms_test_moving"])
-    assert "test in motion" in " ".join(capsys.readouterr().out.split())
-
-
-def test_extend_warns_of_negative_friction(folder, capsys, tmp_path):
-    fit = str(tmp_path / "plain.json")
-    run = lieid.Recording.load(folder / "torque1.csv")
-    less = -0.8 * np.sign(run.dq[:, 0]) * np.exp(-((run.dq[:, 0] / 0.2) ** 2))
-    tau = run.tau + np.column_stack([less, np.zeros(len(run))])
-    replace(run, tau=tau).save(tmp_path / "run.csv")
-    train = str(tmp_path / "run.csv")
-    assert main(["identify", "two_link", train, "-o", fit]) == 0
-    assert main(["extend", fit, "--add", "stribeck:1", "--train", train]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert "is negative, but static minus Coulomb friction is expected to be positive" in printed
-    assert main(["extend", fit, "--add", "load_friction:2", "--train", train]) == 0
-    assert "not significantly different from zero" in " ".join(capsys.readouterr().out.split())

@@ -58,16 +58,6 @@ def test_defaults_of_optional_keys():
         _ = robot.link_parameters
 
 
-def test_rpy_is_that_of_urdf():
-    import pinocchio as pin
-
-    rpy = [0.3, -0.7, 2.1]
-    robot = Robot.parse_yaml(one(f"home: {{rpy: {rpy}}}"))
-    np.testing.assert_allclose(
-        robot.joints[0].home[:3, :3], pin.rpy.rpyToMatrix(*rpy), rtol=0, atol=1e-15
-    )
-
-
 @pytest.mark.parametrize(
     "inertia",
     [
@@ -208,18 +198,6 @@ def test_bad_input_is_refused_in_one_line(text, message, tmp_path):
     line = str(caught.value)
     assert line.startswith(f"{path}: ")
     assert "\n" not in line
-
-
-def test_missing_file():
-    with pytest.raises(RobotError, match="no such file"):
-        Robot.load("nowhere/arm.yaml")
-
-
-def test_anchors_repeat_a_value():
-    robot = Robot.parse_yaml(
-        "name: a\njoints:\n- {name: b, screw: &z [0, 0, 1, 0, 0, 0]}\n- {name: c, screw: *z}\n"
-    )
-    np.testing.assert_array_equal(robot.joints[0].screw, robot.joints[1].screw)
 
 
 def test_quoted_numbers_are_text():
