@@ -41,6 +41,8 @@ def finding(steps: Sequence[Step], mode: str) -> str:
     name = first.label.partition(":")[0]
     text = f"{_statement(steps, mode)} ({name}: {'; '.join(_sizes(steps))}; {part})"
     text += _rivals(steps) + _selected(steps)
+    if first.formula:
+        text += f"; it is close to {first.formula}"
     unconfirmed = [step for step in steps if step.confirmed is False]
     if unconfirmed:
         where = join_words([str(step.joint + 1) for step in unconfirmed])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,8 +17,9 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
-from lieid_casadi.diagnosis.search import SMOOTH, Round, beside_each_other, search
-from lieid_casadi.diagnosis.step import Difference
+from lieid_casadi.diagnosis.search import SMOOTH, Round, fall_beside, search
+from lieid_casadi.diagnosis.smooth_functions import formula_of
+from lieid_casadi.diagnosis.step import Difference, Step
 from lieid_casadi.diagnosis.steps import (
     Accepted,
     FinalModel,
@@ -28,6 +29,7 @@ from lieid_casadi.diagnosis.steps import (
     steps_of,
     unexplained_parts,
 )
+from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     SameRecordingWarning,
     unique_warnings,
@@ -100,7 +102,7 @@ class MissingEffects:
         after = compare(fit, self.tests) if self.tests else None
         fitted = compare(fit, self.train)
         torque = np.array([np.sqrt(np.mean(t**2)) if len(t) else np.nan for t in rows.torque])
-        steps = steps_of(final, accepted, torque, after)
+        steps = self._with_formulas(steps_of(final, accepted, torque, after), final, rows)
         parts = unexplained_parts(fitted, after, self.rejected, options)
         shown = after or fitted
         verdict = "effect_found" if steps else "sufficient"
@@ -140,6 +142,23 @@ class MissingEffects:
             limits_reached=("most_steps",) if len(last.slots) >= options.most_steps else (),
             seed=seed,
         )
+
+    def _with_formulas(
+        self, steps: tuple[Step, ...], final: FinalModel, before: Rows
+    ) -> tuple[Step, ...]:
+        """Return the steps with formulas that are close to their smooth functions."""
+        if all(step.status != "shape" for step in steps):
+            return steps
+        fit, segments = final.fit, self.segments
+        rows = Rows.of(fit, segments, known=self.known, before=before, with_candidates=False)
+        found = []
+        for step in steps:
+            if step.status == "shape":
+                (placement,) = place(step.label, fit.model.n)
+                own = final.columns_of([placement])
+                step = replace(step, formula=formula_of(rows, placement, own, fit.values[own]))
+            found.append(step)
+        return tuple(found)
 
     def _searched(self, first: Rows) -> tuple[Fit, list[Accepted], Round]:
         """Return the fit with all effects that are added, these effects, and the last round."""
@@ -281,17 +300,17 @@ class MissingEffects:
         for columns in self.apart:
             rows = rows.with_apart(columns)
 
-        def falls(effects: Sequence[Accepted]) -> list[float]:
+        def fall(found_effect: Accepted, effects: Sequence[Accepted]) -> float:
             pairs = [(a.candidate, a.shapes) for a in effects]
-            return [slot.fall for slot in beside_each_other(rows, pairs, found)]
+            return fall_beside(rows, effects.index(found_effect), pairs, found)
 
         while kept:
             library = [a for a in kept if a.candidate.name != SMOOTH]
-            own = dict(zip(library, falls(library), strict=True))
-            worth = [
-                min(own.get(a, fall), fall if fall <= 0.0 else np.inf)
-                for a, fall in zip(kept, falls(kept), strict=True)
-            ]
+            smooth = {a.joint for a in kept if a not in library}
+            worth = [fall(a, kept) for a in kept]
+            for k, a in enumerate(kept):
+                if worth[k] > 0.0 and a in library and a.joint in smooth:
+                    worth[k] = fall(a, library)
             least = int(np.argmin(worth))
             if worth[least] >= self.options.worth:
                 break

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.folds import Folds
 from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Paths, Span
+from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Span
 
 DEPENDENT = 1e-8  # of a largest eigenvalue
 SMALLEST = 1e-12  # part of an error below which it counts as zero
@@ -84,7 +85,8 @@ class Slot:
 
 
 def judge(
-    paths: Paths,
+    span: Span,
+    columns: Columns,
     folds: Folds,
     whole: Sequence[int],
     parts: Sequence[Sequence[int]],
@@ -94,7 +96,9 @@ def judge(
 
     Parameters
     ----------
-    paths : Paths
+    span : Span
+    columns : Columns
+        Weighted as the span is.
     folds : Folds
     whole : sequence of int
         Groups of the path on all rows.
@@ -106,7 +110,6 @@ def judge(
     """
     if not whole:
         return ()
-    columns, span = paths.columns, paths.span
     every = list(dict.fromkeys([*whole, *(g for path in parts for g in path)]))
     outside = {g: span.outside(columns.stacked(g)) for g in every}
     outside |= {-1 - j: span.outside(late[:, [j]]) for j in range(late.shape[1])}

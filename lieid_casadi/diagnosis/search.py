@@ -17,7 +17,7 @@ from lieid_casadi.diagnosis.nested import Slot, judge, solved
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows
-from lieid_casadi.diagnosis.smooth_candidates import smooth_candidates
+from lieid_casadi.diagnosis.smooth_functions import smooth_candidates
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.smooth import Smooth
 from lieid_casadi.identification.uncertainty.noise_model import noise_of
@@ -112,22 +112,30 @@ def search(
     folds = folds_of(rows, _residual_beside(paths, whole, rows, scale), options.folds)
     paths = Paths(paths.span, paths.columns, folds.out)
     parts = [forward(paths, k, rules) for k in range(folds.count)]
-    slots = judge(paths, folds, whole, parts, _late_friction(paths.span, rows, scale))
+    slots = judge(
+        paths.span, paths.columns, folds, whole, parts, _late_friction(paths.span, rows, scale)
+    )
     return Round(rows, scale, paths.columns, paths.span, folds, paths, slots)
 
 
-def beside_each_other(
-    rows: Rows, effects: Sequence[tuple[Candidate, Array]], found: Round
-) -> tuple[Slot, ...]:
-    """Return each of some effects, with its shape parameters, as held-out parts judge it.
+def fall_beside(
+    rows: Rows, effect: int, effects: Sequence[tuple[Candidate, Array]], found: Round
+) -> float:
+    """Return the relative fall of a joint's held-out error by one of some effects.
 
-    All others are in the model; ``found`` is the round whose parts and weights are used.
+    Each has its shape parameters; the others are part of the model, so that none of their
+    directions stays at zero where a held-out part has most of the information on it. ``found`` is
+    the round whose parts and weights are used.
     """
-    rows = rows.with_candidates([replace(c, grid=shapes[None]) for c, shapes in effects])
-    paths = Paths(*_weighted(rows, found.spread, None), found.folds.out)
-    groups = range(len(effects))
-    late = _late_friction(paths.span, rows, found.spread)
-    return judge(paths, found.folds, groups, [groups] * found.folds.count, late)
+    every = rows.with_candidates([replace(c, grid=shapes[None]) for c, shapes in effects])
+    for other in range(len(effects)):
+        if other != effect:
+            rows = rows.with_apart(every.columns.dense(other))
+    rows = replace(rows, columns=every.columns)
+    span, columns = _weighted(rows, found.spread, None)
+    late = _late_friction(span, rows, found.spread)
+    (slot,) = judge(span, columns, found.folds, [effect], [[effect]] * found.folds.count, late)
+    return slot.fall
 
 
 def _late_friction(span: Span, rows: Rows, spread: Array) -> Array:

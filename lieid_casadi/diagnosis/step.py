@@ -108,6 +108,9 @@ class Step:
         From 1: steps with the same effect on single joints share one.
     depends_on : tuple of str
         Signals of a smooth function, ``dq3``.
+    formula : str
+        Close to a smooth function, with the part of its variance: ``−12.5·q4 (99 % …)``; empty
+        where none is, and for effects of the library.
     errors : dict
         ``rms_train``, ``rms_test``, ``rms_test_moving``, ``rms_cv``: (n,) errors of the model with
         the steps up to this one, N·m; None where they do not exist. Those of the last step are
@@ -132,6 +135,7 @@ class Step:
     group: int
     depends_on: tuple[str, ...]
     errors: dict[str, Array | None]
+    formula: str = ""
 
     @property
     def part(self) -> float:
@@ -166,6 +170,7 @@ class Step:
             "rival_pairs": [],
             "group": self.group,
             "depends_on": list(self.depends_on),
+            "formula": self.formula,
         }
 
 

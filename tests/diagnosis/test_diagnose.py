@@ -162,6 +162,9 @@ def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
     assert shapes[0].depends_on == ("q1",)
     assert shapes[0].joints == (1,)
     assert shapes[0].confirmed
+    amplitude, _, rest = shapes[0].formula.partition("·")
+    assert rest.startswith("sin(2·q1)")
+    assert float(amplitude) == pytest.approx(size, rel=0.1)
     again = lieid.identify(
         lieid.Model(ROBOT, ",".join(diagnosis.fit.model.effects)),
         train,

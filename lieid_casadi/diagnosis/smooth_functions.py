@@ -1,8 +1,9 @@
-"""Which smooth functions of one or two signals are worth trying on each joint.
+"""Smooth functions of one or two signals: which are worth trying, and formulas close to them.
 
 There are hundreds of pairs of signals, and the effect `smooth` has many columns for each. A few
 polynomials of every signal and their products show which of them the residual follows; of these
-the effect itself becomes a candidate.
+the effect itself becomes a candidate. A function that a diagnosis has added is compared with
+products of elementary functions of its signals.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.findings import number
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.registry import make
@@ -24,6 +27,10 @@ PER_JOINT = 4  # candidates of each joint: functions of one signal, and as many 
 RIDGE = 1e-6  # of a column's square
 FIELDS = {"q": "q", "dq": "dq", "ddq": "ddq", "load": "load", "temp": "temperature"}
 OTHERS = ("q", "dq")  # signals of other joints that are tried
+DEPENDENT = 1e-9  # of the largest singular value
+MOST_TERMS = 3  # of a formula
+CLOSE, LEAST_TERM = 0.97, 0.02  # part of a variance that is enough, and that a term must add
+LEAST_EXPLAINED = 0.8  # of the variance, by a formula that is stated
 
 
 def smooth_candidates(
@@ -65,17 +72,10 @@ def _products(parts: Sequence[Array]) -> Array:
 
 def _polynomials(rows: Rows, joint: int) -> Iterator[tuple[str, Array]]:
     """Yield the name of each signal as in ``smooth/dq.q5``, and polynomials of it (R_j, 3)."""
-    at = rows.runs[joint].all
-    kept = [s.segment.kept for s in rows.signals]
-
-    def along(field: str, j: int) -> Array:
-        values = [s.values[field][k, j] for s, k in zip(rows.signals, kept, strict=True)]
-        return np.asarray(np.concatenate(values)[at])
-
     names = [(name, joint) for name in FIELDS if name != "temp" or _measured(rows)]
     names += [(name, j) for j in range(len(rows.runs)) if j != joint for name in OTHERS]
     for name, j in names:
-        values = along(FIELDS[name], j)
+        values = _along(rows, joint, FIELDS[name], j)
         low, high = np.percentile(values, [0.5, 99.5]) if len(values) else (0.0, 0.0)
         if high - low < 1e-9:
             continue
@@ -86,6 +86,12 @@ def _polynomials(rows: Rows, joint: int) -> Iterator[tuple[str, Array]]:
         else:
             x = np.clip(2.0 * (values - low) / (high - low) - 1.0, -1.2, 1.2)
             yield label, np.column_stack([x, 1.5 * x**2 - 0.5, 2.5 * x**3 - 1.5 * x])
+
+
+def _along(rows: Rows, joint: int, field: str, j: int) -> Array:
+    """Return a signal of joint j on the rows of a joint (R_j,)."""
+    values = [s.values[field][s.segment.kept, j] for s in rows.signals]
+    return np.asarray(np.concatenate(values)[rows.runs[joint].all])
 
 
 def _measured(rows: Rows) -> bool:
@@ -106,3 +112,63 @@ def _candidate(rows: Rows, signals: Sequence[str], joint: int) -> Candidate:
     placement = Placement(effect, joint)
     alone = Model.of_placements(rows.fit.model.robot, (placement,))
     return Candidate(placement, shapes_of_data(alone, rows.segments)[None])
+
+
+def formula_of(rows: Rows, placement: Placement, own: NDArray[np.intp], values: Array) -> str:
+    """Return a formula that is close to a fitted smooth function; empty if none is.
+
+    Both are compared outside the span of the other columns of the model, which may contain any
+    part of either. ``own`` are the function's columns of ``rows.model``, ``values`` (k,) their
+    coefficients.
+    """
+    joint = placement.joint
+    others = np.delete(rows.model[joint], own, axis=1)
+    basis, sizes, _ = np.linalg.svd(others / _size(others), full_matrices=False)
+    basis = basis[:, sizes > DEPENDENT * sizes.max(initial=0.0)]
+    texts, columns = _elementary(rows, placement)
+    torque = rows.model[joint][:, own] @ values
+    rest, target = (x - basis @ (basis.T @ x) for x in (columns, torque))
+    chosen: list[int] = []
+    found, explained = np.zeros(0), 0.0
+    while len(chosen) < MOST_TERMS and explained < CLOSE:
+        parts = []
+        for k in range(len(texts)):
+            used = rest[:, [*chosen, k]]
+            fitted = np.linalg.lstsq(used / _size(used), target, rcond=DEPENDENT)[0]
+            error = target - used / _size(used) @ fitted
+            parts.append((1.0 - float(error @ error) / float(target @ target), k, fitted))
+        best, k, fitted = max(parts, key=lambda part: part[:2])
+        if best < explained + LEAST_TERM:
+            break
+        chosen.append(k)
+        explained, found = best, fitted / _size(rest[:, chosen])
+    if explained < LEAST_EXPLAINED:
+        return ""
+    terms = [f"{number(c)}·{texts[k]}" for c, k in zip(found, chosen, strict=True)]
+    return f"{' + '.join(terms).replace('+ −', '− ')} ({100 * explained:.0f} % of its variance)"
+
+
+def _elementary(rows: Rows, placement: Placement) -> tuple[list[str], Array]:
+    """Return elementary functions of the signals of a smooth function, and their products."""
+    each = []
+    for part in placement.effect.option.split("."):
+        name = part.rstrip("0123456789")
+        j = int(part[len(name) :]) - 1 if part != name else placement.joint
+        x, label = _along(rows, placement.joint, FIELDS[name], j), f"{name}{j + 1}"
+        known = {label: x, f"{label}²": x**2, f"{label}³": x**3, f"|{label}|": np.abs(x)}
+        if name == "q":
+            known |= {f"sin({label})": np.sin(x), f"cos({label})": np.cos(x)}
+            known |= {f"sin(2·{label})": np.sin(2.0 * x), f"cos(2·{label})": np.cos(2.0 * x)}
+        else:
+            known[f"sgn({label})"] = np.sign(x)
+        each.append(known)
+    every = {text: f for known in each for text, f in known.items()}
+    if len(each) == 2:
+        every |= {f"{a}·{b}": f * g for a, f in each[0].items() for b, g in each[1].items()}
+    return list(every), np.column_stack(list(every.values()))
+
+
+def _size(columns: Array) -> Array:
+    """Return the norms of columns, 1 for zeros."""
+    size = np.linalg.norm(columns, axis=0)
+    return np.where(size > 0.0, size, 1.0)
