@@ -294,7 +294,7 @@ class MissingEffects:
         """Return the effects that are worth their place beside all others.
 
         Smooth functions of its joint may contain an effect of the library: beside them it must
-        lower the held-out error at all, and by what it is worth without them.
+        lower the held-out error at all, and by how much it does so without them.
         """
         kept = list(accepted)
         for columns in self.apart:

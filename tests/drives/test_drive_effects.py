@@ -254,7 +254,7 @@ def test_load_friction_is_named_as_on_arms_with_torque():
 
 
 def test_the_delay_of_a_joint_that_hardly_moves_is_that_of_the_hold():
-    """Its recording does not tell a delay from friction: without the prior it is 0.1 s."""
+    """Its recording does not separate a delay from friction: without the prior it is 0.1 s."""
     t = np.arange(0.0, 10.0, 0.02)
     path = np.sin(t[:, None] * [1.7, 3.0] + [0.0, 1.0]) * [0.8, 0.05] + [0.0, 0.3]
     noise = 1e-3 * np.random.default_rng(1).normal(size=path.shape)

@@ -145,6 +145,7 @@ def test_intervals_cover_the_truth():
     assert np.max(held) < 4.0
 
 
+@pytest.mark.slow
 def test_slow_motion_does_not_identify_the_gain_of_a_vertical_axis():
     """Gravity does not load joint 1 of the Panda: only its inertia identifies its gain."""
     scale = tuple(0.01 * plant.torque_scale(PANDA))
@@ -176,7 +177,7 @@ def test_exchanged_recordings_are_refused(unloaded):
 
 
 def test_loaded_runs_without_the_payload_are_refused(unloaded):
-    again = amperes(ARM, motion=5, seed=1)
+    again = amperes(ARM, motion=5, seed=1, seconds=15.0)
     with pytest.raises(IdentificationError, match=r"do not show a payload of 3 kg|exchanged"):
         lieid.drive_gains(PANDA, unloaded, again, mass=MASS, processing=CUTOFF)
 

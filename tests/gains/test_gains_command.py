@@ -41,6 +41,7 @@ def test_table_json_yaml_and_the_option(files, tmp_path, capsys):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_identify_accepts_the_printed_option(files, tmp_path, capsys):
     assert lieid_gains(files) == 0
     lines = capsys.readouterr().out.splitlines()

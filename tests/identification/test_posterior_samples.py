@@ -50,9 +50,9 @@ def test_samples_are_consistent_and_reproducible(fit):
 def test_draws_have_the_covariance_where_constraints_do_not_act(fit):
     """With a hundredth of the standard deviations no draw leaves the consistent parameters."""
     narrow = replace(fit, covariance=1e-4 * fit.covariance)
-    values = np.array([s.values for s in narrow.sample(600, seed=1)])
-    np.testing.assert_allclose(values.std(axis=0), 0.01 * fit.std, rtol=0.15)
-    np.testing.assert_allclose(values.mean(axis=0), fit.values, atol=0.01 * 5 * fit.std.max() / 24)
+    values = np.array([s.values for s in narrow.sample(300, seed=1)])
+    np.testing.assert_allclose(values.std(axis=0), 0.01 * fit.std, rtol=0.2)
+    np.testing.assert_allclose(values.mean(axis=0), fit.values, atol=0.01 * 5 * fit.std.max() / 17)
 
 
 def test_wide_posteriors_stay_consistent(fit):

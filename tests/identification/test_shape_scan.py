@@ -37,9 +37,10 @@ MODELS = {
     "hysteresis": "viscous,offset,presliding:1+2,stribeck:2,position_friction:2",
     "load": "coulomb,viscous,load_friction/stribeck:2,torque_ripple:2,stribeck:1+2",
 }
+CASES = ["ripple", *(pytest.param(x, marks=pytest.mark.slow) for x in ("hysteresis", "load"))]
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", CASES)
 def test_order_does_not_change_the_fit(name):
     run = recorded(ripple)
     effects = [
@@ -69,11 +70,11 @@ def test_the_order_of_a_ripple_is_found_among_all():
     assert found["stribeck.v_s:2"] == pytest.approx(0.2, rel=0.2)
 
 
-@pytest.mark.parametrize("effects", MODELS.values())
-def test_no_value_of_a_shape_lowers_the_error(effects):
+@pytest.mark.parametrize("name", CASES)
+def test_no_value_of_a_shape_lowers_the_error(name):
     """Each shape in turn over a grid of this test, the others and their load held."""
     run = recorded(ripple)
-    model = lieid.Model(ROBOT, effects)
+    model = lieid.Model(ROBOT, MODELS[name])
     fit = lieid.identify(model, run, processing=OPTIONS)
     cost = np.sum(np.log(fit.noise))
     for k, shape in enumerate(model.shapes):

@@ -155,7 +155,7 @@ def test_parameter_std_of_a_band_is_that_of_repeated_fits():
     sensors = plant.Sensors(rate=100.0, torque_noise=0.3)
     fresh = run(motion_seed=9, duration=10.0)
     torques, stated = [], []
-    for seed in range(15):
+    for seed in range(12):
         recording = plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=seed)
         fit = lieid.identify(model, recording, processing=CUTOFF)
         band = fit.predict_band(fresh)

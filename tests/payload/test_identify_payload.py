@@ -70,7 +70,7 @@ def test_only_uncertain_quantities_are_flagged(payload):
     assert {"Ixx", "Iyy"} <= weak
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3, deadline=None)
 @given(seed=st.integers(0, 1000), mass=st.floats(0.3, 5.0))
 def test_exact_for_any_arm_without_noise(seed, mass):
     """Random geometries, prismatic joints and tool frames, any body, against Pinocchio."""
@@ -119,6 +119,7 @@ def test_intervals_cover_the_truth():
         assert np.mean(z > 3.0) <= 0.01
 
 
+@pytest.mark.slow
 def test_load_friction_accounts_for_the_payload():
     """A model without it has ten times the standard deviation."""
     load_friction = [plant.LoadFriction(j, gain=0.15) for j in range(PANDA.n)]
@@ -132,6 +133,7 @@ def test_load_friction_accounts_for_the_payload():
     assert found.mass_std < 0.1 * wrong.mass_std
 
 
+@pytest.mark.slow
 def test_shape_parameters_and_drift_of_a_fit():
     """The Stribeck velocity is uncertain too; the drift of the training is not carried over."""
     arm = ARM.with_effects(plant.Stribeck(1, extra=3.0, velocity=0.2))
@@ -229,6 +231,7 @@ def test_an_arm_with_similar_inertias_is_reported(fit):
     assert found.sentence.startswith("A payload does not explain this run")
 
 
+@pytest.mark.slow
 def test_torques_of_other_units_are_refused(fit):
     run = measured(LOADED, motion=7)
     with pytest.raises(IdentificationError, match="no payload explains"):
