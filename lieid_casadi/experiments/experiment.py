@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
+from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.comparison import compare
-from lieid_casadi.diagnosis import Diagnosis, diagnose
+from lieid_casadi.diagnosis import diagnose
 from lieid_casadi.errors import ExcitationError, LieidError, NoSolution, PremiseError, RecordError
 from lieid_casadi.excitation import default_limits
 from lieid_casadi.excitation.checks import MARGIN
-from lieid_casadi.excitation.limits import Limit, motion_range
-from lieid_casadi.excitation.trajectory import MotionSamples
-from lieid_casadi.experiments.folder import ExperimentFolder, identity_of
-from lieid_casadi.experiments.motion import MotionDesign, PlannedMotion, probe_motion
+from lieid_casadi.excitation.limits import Limit
+from lieid_casadi.experiments.folder import STATE, ExperimentFolder, identity_of
+from lieid_casadi.experiments.motion import MotionDesign, PlannedMotion, Progress
 from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
-from lieid_casadi.experiments.record import (
-    DEVIATION,
-    DIFFERS,
-    check_premises,
-    deviation,
-    repeatability,
-)
-from lieid_casadi.experiments.result import Experiment, Round, Stopped
+from lieid_casadi.experiments.record import Recorded, check_premises, doubts
+from lieid_casadi.experiments.result import Experiment, Round
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.identify import default_effects
 from lieid_casadi.model import Model
@@ -81,7 +76,8 @@ def experiment(
         Called with each `PlannedMotion`: moves the robot along ``motion.samples`` and returns the
         recording. A `LieidError` ends the experiment with ``record_failed``.
     folder : str or Path, optional
-        Where every round is kept. With the folder of an earlier call the experiment is resumed.
+        Where every round is kept; a temporary one by default. With the folder of an earlier call
+        the experiment is resumed.
     most : int
         Recordings at most, beside the given ones.
     confirm : callable, optional
@@ -131,96 +127,79 @@ def experiment(
         )
     given = listed(recordings)
     model = _model(source, given)
-    fit = source if isinstance(source, Fit) else None
-    kept = None
-    if folder is not None:
-        kept = ExperimentFolder.of(folder, identity_of(model.robot, given, probe, seed))
-    joints = motion_range(model.robot, acceleration, margin=margin)
-    bounds = default_limits(model.robot, margin=margin) if limits is None else tuple(limits)
-
-    def new_probe() -> MotionSamples:
-        return probe_motion(
-            model, joints, bounds, fit=fit, seconds=probe, start_pose=start_pose, rate=rate,
-            seed=seed,
-        )  # fmt: skip
-
-    small = new_probe() if kept is None else kept.probe(new_probe)
+    path = tempfile.mkdtemp(prefix="lieid-experiment-") if folder is None else folder
+    kept = ExperimentFolder.of(path, identity_of(model.robot, given, probe, seed))
     design = MotionDesign(
-        model, fit, joints, bounds, acceleration, margin, longest, rate, seed, small
-    )
-    session = _Session(source, given, design, kept, record, load, despite_check, progress)
-    session.resume()
-    while True:
-        diagnosis = session.diagnose()
-        motion = session.plan(diagnosis, most)
-        end: _Ended | None
-        if isinstance(motion, _Ended):
-            end = motion
-        elif confirm is not None and not confirm(motion):
-            end = _Ended("record_failed", "The motion was not confirmed; nothing moved.")
-        else:
-            end = session.recorded(motion, diagnosis)
-        if end is not None:
-            return session.ended(diagnosis, end)
+        model, source if isinstance(source, Fit) else None,
+        default_limits(model.robot, margin=margin) if limits is None else tuple(limits),
+        acceleration, margin, longest, rate, seed,
+    )  # fmt: skip
+    design = replace(design, probe=kept.probe(lambda: design.probe_motion(probe, start_pose)))
+    loop = _Loop(source, given, design, kept, progress)
+    loop.resume(load)
+    while loop.result.stopped is None:
+        loop.diagnose()
+        motion = loop.plan(most)
+        if motion is not None and confirm is not None and not confirm(motion):
+            loop.keep(stopped="record_failed", reason="The motion was not confirmed; none was run.")
+        elif motion is not None:
+            loop.record(motion, record, despite_check=despite_check)
+    return loop.result
 
 
-@dataclass(frozen=True)
-class _Ended:
-    """Why an experiment ended."""
-
-    stopped: Stopped
-    reason: str
-
-
-class _Session:
-    """The rounds so far, in memory and in the folder."""
+class _Loop:
+    """The experiment so far, in memory and in its folder."""
 
     def __init__(
         self,
         source: Robot | Model | Fit,
         given: Sequence[Recording],
         design: MotionDesign,
-        kept: ExperimentFolder | None,
-        record: Record,
-        load: Callable[[Path], Recording],
-        despite_check: bool,
-        progress: Callable[[str, float], None],
+        folder: ExperimentFolder,
+        progress: Progress,
     ) -> None:
-        self.source, self.given, self.design, self.kept = source, given, design, kept
-        self.record, self.load, self.despite_check = record, load, despite_check
+        self.source, self.given, self.design, self.folder = source, given, design, folder
         self.progress = progress
-        self.rounds, self.unnecessary = list[Round](), list[Purpose]()
-        self.recorded_ones = list[tuple[Recording, float]]()  # with the start of the motion, s
-        if given:
-            seconds = sum(recording.duration for recording in given)
-            self.rounds.append(Round(0, None, "", seconds, None, None))
+        self.recorded = list[Recorded]()
+        self.unnecessary = list[Purpose]()
+        seconds = sum(recording.duration for recording in given)
+        first = (Round(0, None, "", seconds, None, None),) if given else ()
+        rounds = folder.rounds() or first
+        self.result = Experiment(design.model.robot.name, rounds, folder=folder.path)
+
+    def resume(self, load: Callable[[Path], Recording]) -> None:
+        """Read the recordings of an earlier call."""
+        for each in self.result.rounds:
+            if each.recording is not None:
+                self.recorded.append((load(self.folder.path / each.recording), each.starts))
+
+    def keep(self, **changes: Any) -> None:
+        """Change the result, and write it."""
+        self.result = replace(self.result, **changes)
+        self.folder.write(STATE, self.result.to_dict())
 
     @property
     def recordings(self) -> list[Recording]:
         """All recordings."""
-        return [*self.given, *(recording for recording, _ in self.recorded_ones)]
+        return [*self.given, *(recording for recording, _ in self.recorded)]
 
-    def resume(self) -> None:
-        """Read what an earlier call kept."""
-        if self.kept is None:
-            return
-        self.rounds = self.kept.rounds() or self.rounds
-        for each in self.rounds:
-            if each.purpose is not None:
-                recording = self.kept.recording(each.number, self.load)
-                self.recorded_ones.append((recording, each.starts))
+    @property
+    def fit(self) -> Fit | None:
+        """Fit of the last diagnosis."""
+        return None if self.result.diagnosis is None else self.result.diagnosis.fit
 
-    def diagnose(self) -> Diagnosis | None:
+    def diagnose(self) -> None:
         """Diagnose all recordings, and complete the last round with the result."""
         if not self.recordings:
-            return None
+            return
         found = diagnose(
             _model(self.source, self.recordings), self.recordings,
             progress=lambda stage, done: self.progress(f"diagnose: {stage}", done),
         )  # fmt: skip
         _, errors = found.shown
-        self.rounds[-1] = replace(
-            self.rounds[-1],
+        *before, last = self.result.rounds
+        last = replace(
+            last,
             verdict=found.verdict,
             open=tuple(open_groups(found)),
             named=tuple(step.label for step in found.steps if step.status == "named"),
@@ -229,116 +208,75 @@ class _Session:
             first_error=tuple(map(float, errors[0])),
             noise_floor=tuple(map(float, found.noise_floor)),
         )
-        if self.kept is not None and self.rounds[-1].number:
-            self.kept.keep_diagnosis(self.rounds[-1].number, found)
-        self._keep(found)
-        return found
+        if last.number:
+            self.folder.write(f"round-{last.number}/diagnosis.json", found.to_dict())
+            found.fit.save(self.folder.round(last.number) / "fit.json")
+        self.keep(rounds=(*before, last), diagnosis=found)
 
-    def plan(self, diagnosis: Diagnosis | None, most: int) -> PlannedMotion | _Ended:
-        """Return the next motion, or why there is none."""
-        design = self.design
-        asked = [each.purpose for each in self.rounds if each.purpose is not None]
+    def plan(self, most: int) -> PlannedMotion | None:
+        """Return the next motion; None if the experiment ends here."""
+        diagnosis, reasons = self.result.diagnosis, list[str]()
+        asked = [each.purpose for each in self.result.rounds if each.purpose is not None]
         needs = purposes(diagnosis, [*asked, *self.unnecessary])
-        left = most - len(asked)
+        left, number = most - len(asked), len(asked) + 1
         if needs and left < 1:
-            return _Ended("most", f"{most} recordings were made, as many as were allowed.")
-        reasons = list[str]()
-        fit = None if diagnosis is None else diagnosis.fit
+            reason = f"{most} recordings were made, as many as were allowed."
+            self.keep(stopped="most", reason=reason)
+            return None
         for need in needs:
             try:
-                motion = design.next(
-                    need, len(asked) + 1, fit, self.recordings,
-                    most=left, progress=self.progress,
+                motion = self.design.next(
+                    need, self.folder.round(number), self.fit, self.recordings,
+                    most=left, number=number, progress=self.progress,
                 )  # fmt: skip
             except NoSolution as failure:
                 if diagnosis is None:
                     raise
                 reasons.append(str(failure))
                 continue
-            if motion is None:
-                self.unnecessary.append(need)
-                continue
-            if self.kept is not None:
-                motion = replace(motion, folder=self.kept.round(motion.number))
-                self.kept.keep_motion(motion)
-            return motion
+            if motion is not None:
+                with atomic_binary(motion.folder / "trajectory.csv") as file:
+                    file.write(motion.csv().encode())
+                return motion
+            self.unnecessary.append(need)
         assert diagnosis is not None
-        open_ones = remaining(diagnosis)
-        if not open_ones and not reasons:
-            return _Ended("all_named", "Every effect is named, and nothing is unexplained.")
-        return _Ended("not_separable", " ".join(dict.fromkeys([*open_ones, *reasons])))
+        reasons = [*remaining(diagnosis), *reasons]
+        if reasons:
+            self.keep(stopped="not_separable", reason=" ".join(dict.fromkeys(reasons)))
+        else:
+            reason = "Every effect is named, and nothing is unexplained."
+            self.keep(stopped="all_named", reason=reason)
+        return None
 
-    def recorded(self, motion: PlannedMotion, diagnosis: Diagnosis | None) -> _Ended | None:
-        """Record a motion; return why that failed."""
+    def record(self, motion: PlannedMotion, record: Record, *, despite_check: bool) -> None:
+        """Record a motion."""
         self.progress(f"record {motion.number}", 0.0)
+        fit, model = self.fit, self.design.model
+        first = self.recorded[0] if self.recorded else None
         try:
-            recording = self.record(motion)
-            warnings = self._doubts(recording)
-            starts, warned, unseen = self._compared(motion, recording, diagnosis)
+            recording = record(motion)
+            if recording.n != model.n:
+                raise RecordError(f"a recording of {recording.n} joints; expected {model.n}")
+            warnings = [] if despite_check else check_premises(model, recording)
+            starts, more = doubts(motion, recording, fit, first)
+            unseen = () if fit is None else tuple(map(float, compare(fit, recording).rms_moving))
         except PremiseError:
             raise
         except LieidError as failure:
-            return _Ended("record_failed", f"Recording {motion.number} failed: {failure}.")
-        if self.kept is not None:
-            self.kept.keep_recording(motion, recording)
-        self.recorded_ones.append((recording, starts))
-        here = f"round-{motion.number}/"
-        self.rounds.append(
-            Round(
-                motion.number, motion.purpose, motion.promise, motion.duration,
-                f"{here}trajectory.csv", f"{here}recording.csv", starts=starts, unseen=unseen,
-                warnings=(*warnings, *warned), checked=motion.checked, unchecked=motion.unchecked,
-            )
+            reason = f"Recording {motion.number} failed: {failure}."
+            self.keep(stopped="record_failed", reason=reason)
+            return
+        file = motion.folder / "recording.csv"
+        if not file.exists():  # a command has written it
+            recording.save(file)
+        self.recorded.append((recording, starts))
+        done = Round(
+            motion.number, motion.purpose, motion.promise, motion.duration,
+            f"{motion.folder.name}/trajectory.csv", f"{motion.folder.name}/{file.name}",
+            starts=starts, unseen=unseen, warnings=(*warnings, *more),
+            checked=motion.checked, unchecked=motion.unchecked,
         )  # fmt: skip
-        self._keep(diagnosis)
-        return None
-
-    def ended(self, diagnosis: Diagnosis | None, end: _Ended) -> Experiment:
-        """Return the result, and keep it."""
-        result = self._result(diagnosis, end)
-        if self.kept is not None:
-            self.kept.keep(result.to_dict())
-        return result
-
-    def _doubts(self, recording: Recording) -> list[str]:
-        n = self.design.model.n
-        if recording.n != n:
-            raise RecordError(f"a recording of {recording.n} joints; expected {n}")
-        if self.despite_check:
-            return []
-        return check_premises(self.design.model, recording)
-
-    def _compared(
-        self, motion: PlannedMotion, recording: Recording, diagnosis: Diagnosis | None
-    ) -> tuple[float, list[str], tuple[float, ...]]:
-        """Return the start of a motion in its recording (s), doubts, and errors of the last fit."""
-        starts, far = deviation(motion.samples, recording)
-        warnings = [
-            f"The recorded motion of joint {j + 1} differs from the trajectory by {far[j]:.2g} rad."
-            for j in np.flatnonzero(far > DEVIATION)
-        ]
-        if diagnosis is None:
-            return starts, warnings, ()
-        fit, new = diagnosis.fit, (recording, starts)
-        if self.recorded_ones and motion.probe > 0.0:
-            changed = repeatability(self.design.probe, fit, self.recorded_ones[0], new)
-            warnings += [
-                f"The torque of joint {j + 1} along the probe motion differs from the first "
-                f"recording by {changed[j]:.2g} N·m (noise: {fit.noise[j]:.2g} N·m): warm-up, "
-                "another load, or a fault."
-                for j in np.flatnonzero(changed > DIFFERS * fit.noise)
-            ]
-        return starts, warnings, tuple(map(float, compare(fit, recording).rms_moving))
-
-    def _keep(self, diagnosis: Diagnosis | None) -> None:
-        if self.kept is not None:
-            content = self._result(diagnosis, _Ended("most", "")).to_dict()
-            self.kept.keep(content | {"stopped": None, "reason": ""})
-
-    def _result(self, diagnosis: Diagnosis | None, end: _Ended) -> Experiment:
-        path = None if self.kept is None else self.kept.path
-        name = self.design.model.robot.name
-        return Experiment(name, tuple(self.rounds), diagnosis, end.stopped, end.reason, path)
+        self.keep(rounds=(*self.result.rounds, done))
 
 
 def _model(source: Robot | Model | Fit, recordings: Sequence[Recording]) -> Model:

@@ -7,17 +7,16 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
-from lieid_casadi.atomic_file import atomic_binary, check_parent
-from lieid_casadi.diagnosis import Diagnosis
+from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import OutputError
 from lieid_casadi.excitation.trajectory import MotionSamples
-from lieid_casadi.experiments.motion import PlannedMotion
 from lieid_casadi.experiments.result import Round
+from lieid_casadi.output_folder import check_folder
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
 
@@ -25,9 +24,15 @@ STATE = "experiment.json"
 SCHEMA = 1
 
 
+class _State(msgspec.Struct):
+    schema: Literal[1]
+    identity: dict[str, Any]
+    rounds: list[Round]
+
+
 @dataclass(frozen=True)
 class ExperimentFolder:
-    """``experiment.json`` and ``round-N`` with trajectory, recording, diagnosis and fit.
+    """``experiment.json``, the probe, and ``round-N`` with what belongs to each recording.
 
     ``identity`` is what must be the same in a second call with the same folder.
     """
@@ -39,43 +44,23 @@ class ExperimentFolder:
     def of(cls, path: str | Path, identity: Mapping[str, Any]) -> ExperimentFolder:
         """Return the folder, made if it does not exist, if it holds this experiment or nothing."""
         folder = cls(Path(path), identity)
-        state = folder.state()
-        if state is not None and state.get("identity") != dict(identity):
-            other = [k for k, v in identity.items() if state.get("identity", {}).get(k) != v]
+        state = folder._state()
+        if state is None:
+            check_folder(path)
+            folder.path.mkdir(parents=True, exist_ok=True)
+            folder.write(STATE, {"rounds": []})
+        elif state.identity != identity:
+            other = [name for name in identity if state.identity.get(name) != identity[name]]
             raise OutputError(
-                f"{path}: holds an experiment with another {', '.join(other) or 'setting'}; "
+                f"{path}: holds an experiment with another {', '.join(other)}; "
                 "expected a new folder, or the same arguments to resume"
             )
-        if state is None:
-            folder.path.mkdir(parents=True, exist_ok=True)
-            folder.keep({"rounds": []})
         return folder
 
-    def state(self) -> dict[str, Any] | None:
-        """Return the content of ``experiment.json``; None in a new folder."""
-        file = self.path / STATE
-        if not file.exists():
-            if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
-                raise OutputError(
-                    f"{self.path}: not empty and without {STATE}; expected a new or empty folder"
-                )
-            check_parent(self.path)
-            return None
-        try:
-            content = json.loads(file.read_text("utf-8"))
-            if content["schema"] != SCHEMA:
-                raise ValueError(f"schema {content['schema']}")
-            return dict(content)
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise OutputError(f"{file}: cannot be resumed: {error}") from None
-
-    def rounds(self) -> list[Round]:
+    def rounds(self) -> tuple[Round, ...]:
         """Return the rounds so far."""
-        state = self.state()
-        try:
-            return msgspec.convert([] if state is None else state["rounds"], list[Round])
-        except (msgspec.ValidationError, KeyError) as error:
-            raise OutputError(f"{self.path / STATE}: cannot be resumed: {error}") from None
+        state = self._state()
+        return () if state is None else tuple(state.rounds)
 
     def round(self, number: int) -> Path:
         """Return the folder of a round, made if it does not exist."""
@@ -83,30 +68,14 @@ class ExperimentFolder:
         folder.mkdir(exist_ok=True)
         return folder
 
-    def recording(self, number: int, load: Callable[[Path], Recording]) -> Recording:
-        """Return the recording of a round."""
-        return load(self.path / f"round-{number}" / "recording.csv")
-
-    def keep_motion(self, motion: PlannedMotion) -> None:
-        """Write the trajectory of a round."""
-        with atomic_binary(self.round(motion.number) / "trajectory.csv") as file:
-            file.write(motion.csv().encode())
-
-    def keep_recording(self, motion: PlannedMotion, recording: Recording) -> None:
-        """Write a recording that a function returned; that of a command is there already."""
-        file = self.round(motion.number) / "recording.csv"
-        if not file.exists():
-            recording.save(file)
-
-    def keep_diagnosis(self, number: int, diagnosis: Diagnosis) -> None:
-        """Write diagnosis and fit of a round."""
-        folder = self.round(number)
-        self._write(folder / "diagnosis.json", diagnosis.to_dict())
-        diagnosis.fit.save(folder / "fit.json")
-
-    def keep(self, content: Mapping[str, Any]) -> None:
-        """Write ``experiment.json``."""
-        self._write(self.path / STATE, {"identity": dict(self.identity), **content})
+    def write(self, name: str, content: Mapping[str, Any]) -> None:
+        """Write a JSON file, atomically."""
+        identity = {"identity": dict(self.identity)} if name == STATE else {}
+        text = json.dumps(
+            {"schema": SCHEMA, **identity, **content}, indent=1, ensure_ascii=False, allow_nan=False
+        )
+        with atomic_binary(self.path / name) as file:
+            file.write(text.encode(errors="backslashreplace"))
 
     def probe(self, design: Callable[[], MotionSamples]) -> MotionSamples:
         """Return the probe motion of an earlier call, or a new one."""
@@ -121,12 +90,14 @@ class ExperimentFolder:
         except (OSError, ValueError, KeyError) as error:
             raise OutputError(f"{file}: cannot be resumed: {error}") from None
 
-    def _write(self, path: Path, content: Mapping[str, Any]) -> None:
-        text = json.dumps(
-            {"schema": SCHEMA, **content}, indent=1, ensure_ascii=False, allow_nan=False
-        )
-        with atomic_binary(path) as file:
-            file.write(text.encode(errors="backslashreplace"))
+    def _state(self) -> _State | None:
+        file = self.path / STATE
+        try:
+            return msgspec.json.decode(file.read_bytes(), type=_State)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, msgspec.MsgspecError) as error:
+            raise OutputError(f"{file}: cannot be resumed: {error}") from None
 
 
 def identity_of(
@@ -136,8 +107,8 @@ def identity_of(
     numbers = [robot.link_parameters, robot.limit("velocity"), robot.limit("position_upper")]
     return {
         "robot": robot.name,
-        "numbers": hashlib.sha256(np.concatenate(numbers).tobytes()).hexdigest()[:16],
+        "parameters": hashlib.sha256(np.concatenate(numbers).tobytes()).hexdigest()[:16],
         "given": [{"name": r.name, "sha256": r.source_hash} for r in given],
-        "probe": probe,
+        "probe": float(probe),
         "seed": seed,
     }

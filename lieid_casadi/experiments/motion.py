@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,8 @@ from lieid_casadi.discrimination.rival_effects import fitted_numbers
 from lieid_casadi.errors import EffectError, LieidError, NoSolution
 from lieid_casadi.excitation import excite, friction_sweep
 from lieid_casadi.excitation.checks import verify
-from lieid_casadi.excitation.limits import Limit, MotionRange, on_arm
+from lieid_casadi.excitation.criteria import CriterionName
+from lieid_casadi.excitation.limits import Limit, MotionRange, motion_range, on_arm
 from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.excitation.trajectory import MotionSamples, csv_text
 from lieid_casadi.experiments.purpose import Group, Purpose
@@ -26,10 +27,6 @@ from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import JOINT_SIDE
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording, process
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Progress = Callable[[str, float], None]
 
@@ -61,8 +58,8 @@ class PlannedMotion:
         What the design predicts.
     checked, unchecked : tuple of str
         Limits that the whole motion was verified to keep, and limits that it was not.
-    folder : Path or None
-        With ``trajectory.csv``, and where ``recording.csv`` belongs; None without a folder.
+    folder : Path
+        With ``trajectory.csv``, and where ``recording.csv`` belongs.
     """
 
     number: int
@@ -72,7 +69,7 @@ class PlannedMotion:
     promise: str
     checked: tuple[str, ...]
     unchecked: tuple[str, ...]
-    folder: Path | None = None
+    folder: Path
 
     @property
     def duration(self) -> float:
@@ -82,23 +79,6 @@ class PlannedMotion:
     def csv(self) -> str:
         """Return ``trajectory.csv``: t, q, dq, ddq, after comments with what was checked."""
         return csv_text(self.samples, self.checked, self.unchecked)
-
-    def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the positions over time; not shown."""
-        from matplotlib.figure import Figure
-
-        figure: Figure
-        if ax is None:
-            figure = Figure(figsize=(9.0, 4.0), layout="constrained")
-            ax = figure.add_subplot()
-        else:
-            figure = ax.get_figure(root=True)  # type: ignore[assignment]
-        for j, position in enumerate(self.samples.q.T):
-            ax.plot(self.samples.t, position, linewidth=1.2, label=f"q{j + 1}")
-        ax.set_xlabel("time, s")
-        ax.set_ylabel("position, rad")
-        ax.legend(ncols=self.samples.q.shape[1], fontsize="small")
-        return figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +91,6 @@ class MotionDesign:
         Without the effects that were found.
     fit : Fit or None
         From which the experiment started.
-    range : MotionRange
-    limits : tuple of Limit
     margin : float
         Part of the velocity limits that is used.
     longest : float
@@ -125,38 +103,58 @@ class MotionDesign:
 
     model: Model
     fit: Fit | None
-    range: MotionRange
     limits: tuple[Limit, ...]
     acceleration: ArrayLike | None
     margin: float
     longest: float
     rate: float
     seed: int
-    probe: MotionSamples
+    probe: MotionSamples = field(default_factory=lambda: MotionSamples(*[np.zeros(1)] * 4))
+
+    @property
+    def range(self) -> MotionRange:
+        """Limits of the joints."""
+        return motion_range(self.model.robot, self.acceleration, margin=self.margin)
 
     @property
     def seconds(self) -> float:
-        """Time of a motion that is left beside the probe, s."""
+        """Time of a motion beside the probe, s."""
         return self.longest - float(self.probe.t[-1])
+
+    @property
+    def _shared(self) -> dict[str, Any]:
+        return {
+            "limits": self.limits, "start_pose": self.probe.q[0], "margin": self.margin,
+            "acceleration": self.acceleration, "rate": self.rate,
+        }  # fmt: skip
+
+    def probe_motion(self, seconds: float, start_pose: ArrayLike | None) -> MotionSamples:
+        """Return a small random motion of all joints from the start pose and back."""
+        arm = None if self.fit is None else FittedArm.of(self.fit)
+        feasible = feasible_motions(
+            self.model.robot, arm, self.range, self.limits,
+            duration=seconds or 1.0, harmonics=2, samples=None, start_pose=start_pose,
+        )  # fmt: skip
+        drawn = feasible.drawn(np.random.default_rng([self.seed, 31]))
+        z, _ = feasible.verified(PROBE_SIZE * drawn)
+        times = np.linspace(0.0, seconds, round(seconds * self.rate) + 1)
+        return feasible.parametrization.trajectory(z).at(times)
 
     def next(
         self,
         purpose: Purpose,
-        number: int,
+        folder: Path,
         found: Fit | None,
         recordings: Sequence[Recording],
         *,
+        number: int,
         most: int,
         progress: Progress,
     ) -> PlannedMotion | None:
         """Return the motion of recording ``number`` for a purpose; ``most`` can still be recorded.
 
-        None stands for an excitation that would show hardly more than the recordings do.
-
-        Raises
-        ------
-        NoSolution
-            No motion within the limits does what it is for.
+        None stands for an excitation that would show hardly more than the recordings do. A
+        `NoSolution` states that no motion within the limits does what it is for.
         """
         fit = found or self.fit
         if purpose.kind == "rivals":
@@ -172,25 +170,23 @@ class MotionDesign:
             main, promise = self._exciting(fit, number, "combined", progress)
             if found is not None and information_gain(found, recordings, main) < WORTH:
                 return None
-        whole = joined(self.probe, main)
-        arm = None if fit is None else FittedArm.of(fit)
+        whole, arm = joined(self.probe, main), None if fit is None else FittedArm.of(fit)
         robot = self.model.robot
         verified = verify(robot, whole, self.range, on_arm(self.limits, robot, arm), arm)
         return PlannedMotion(
             number, purpose, whole, float(self.probe.t[-1]), promise,
-            verified.checked, verified.unchecked,
+            verified.checked, verified.unchecked, folder,
         )  # fmt: skip
 
     def _exciting(
-        self, fit: Fit | None, number: int, criterion: str, progress: Progress
+        self, fit: Fit | None, number: int, criterion: CriterionName, progress: Progress
     ) -> tuple[MotionSamples, str]:
         """Return an excitation of all parameters."""
         design = excite(
             self.model if fit is None else fit,
-            criterion=criterion,  # type: ignore[arg-type]
-            limits=self.limits, start_pose=self.probe.q[0], acceleration=self.acceleration,
-            margin=self.margin, duration=self.seconds, harmonics=HARMONICS, rate=self.rate,
+            criterion=criterion, duration=self.seconds, harmonics=HARMONICS,
             starts=EXCITATION_STARTS, seed=self.seed + 10 * number, progress=progress,
+            **self._shared,
         )  # fmt: skip
         return design.motion(), f"Condition number {design.condition_number:.3g}."
 
@@ -205,10 +201,8 @@ class MotionDesign:
             for seconds in SWEEP_SECONDS:
                 try:
                     sweep = friction_sweep(
-                        fit, joint, speeds=speeds, seconds=seconds, start_pose=self.probe.q[0],
-                        acceleration=self.acceleration, margin=self.margin, limits=self.limits,
-                        rate=self.rate,
-                    )  # fmt: skip
+                        fit, joint, speeds=speeds, seconds=seconds, **self._shared
+                    )
                 except NoSolution:
                     continue  # shorter runs need less space
                 if sweep.motion.t[-1] <= self.seconds:
@@ -242,10 +236,8 @@ class MotionDesign:
                 designs = [
                     discriminate(
                         fit, chosen, sizes=known, recordings=recordings,
-                        duration=self.seconds / parts, limits=self.limits,
-                        start_pose=self.probe.q[0], acceleration=self.acceleration,
-                        margin=self.margin, rate=self.rate, seed=self.seed,
-                        starts=STARTS, evaluations=EVALUATIONS, progress=progress,
+                        duration=self.seconds / parts, seed=self.seed, starts=STARTS,
+                        evaluations=EVALUATIONS, progress=progress, **self._shared,
                     )
                     for parts in PARTS
                 ]  # fmt: skip
@@ -265,28 +257,6 @@ class MotionDesign:
                 f"{best.exact_seconds:.3g} s; {most} recordings of {self.seconds:.3g} s are left."
             )
         raise NoSolution(" ".join(dict.fromkeys(reasons)))
-
-
-def probe_motion(
-    model: Model,
-    joints: MotionRange,
-    limits: Sequence[Limit],
-    *,
-    fit: Fit | None,
-    seconds: float,
-    start_pose: ArrayLike | None,
-    rate: float,
-    seed: int,
-) -> MotionSamples:
-    """Return a small random motion of all joints from the start pose and back."""
-    arm = None if fit is None else FittedArm.of(fit)
-    feasible = feasible_motions(
-        model.robot, arm, joints, limits,
-        duration=seconds or 1.0, harmonics=2, samples=None, start_pose=start_pose,
-    )  # fmt: skip
-    z, _ = feasible.verified(PROBE_SIZE * feasible.drawn(np.random.default_rng([seed, 31])))
-    times = np.linspace(0.0, seconds, round(seconds * rate) + 1)
-    return feasible.parametrization.trajectory(z).at(times)
 
 
 def joined(first: MotionSamples, second: MotionSamples) -> MotionSamples:

@@ -61,13 +61,19 @@ def purposes(diagnosis: Diagnosis | None, asked: Sequence[Purpose]) -> list[Purp
     if groups := new("rivals", separable_groups(diagnosis)):
         text = "; ".join(" or ".join(group) for group in groups)
         found.append(Purpose("rivals", groups, why=f"The recordings do not separate {text}."))
-    shown = shapes(diagnosis)
-    if groups := new("range", [(joint,) for joint in shown]):
-        signals = tuple(dict.fromkeys(x for (joint,) in groups for x in shown[joint]))
+    signals_of = undescribed(diagnosis)
+    if groups := new("range", [(joint,) for joint in signals_of]):
+        signals = tuple(dict.fromkeys(x for (joint,) in groups for x in signals_of[joint]))
         text = ", ".join(joint for (joint,) in groups)
         why = f"No effect of the library describes the error of {text} over {', '.join(signals)}."
         found.append(Purpose("range", groups, signals, why))
-    if groups := new("parameters", uncertain(diagnosis)):
+    uncertain = [
+        (step.label,)
+        for step in diagnosis.steps
+        if step.status != "shape"
+        and all(step.std[k] > UNCERTAIN * abs(v) for k, v in step.parameters.items())
+    ]
+    if groups := new("parameters", uncertain):
         text = ", ".join(label for (label,) in groups)
         found.append(Purpose("parameters", groups, why=f"The size of {text} is uncertain."))
     return found
@@ -92,7 +98,7 @@ def separable_groups(diagnosis: Diagnosis) -> list[Group]:
     return [group for group in groups if len(group) > 1]
 
 
-def shapes(diagnosis: Diagnosis) -> dict[str, tuple[str, ...]]:
+def undescribed(diagnosis: Diagnosis) -> dict[str, Group]:
     """Return the joints with an error that no effect describes: on which signals it depends."""
     found = {f"joint {s.joint + 1}": s.depends_on for s in diagnosis.steps if s.status == "shape"}
     for part in diagnosis.unexplained:
@@ -100,26 +106,15 @@ def shapes(diagnosis: Diagnosis) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def uncertain(diagnosis: Diagnosis) -> list[Group]:
-    """Return the effects that were added, every number of which is uncertain."""
-    return [
-        (step.label,)
-        for step in diagnosis.steps
-        if step.status != "shape"
-        and all(step.std[k] > UNCERTAIN * abs(v) for k, v in step.parameters.items())
-    ]
-
-
 def remaining(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence for everything that is neither named nor explained."""
     parts = []
-    for group, step in zip(
-        open_groups(diagnosis), [s for s in diagnosis.steps if s.status != "named"], strict=True
-    ):
+    for step in diagnosis.steps:
+        group = [step.label, *(rival.label for rival in step.rivals)]
         if step.status == "shape":
             parts.append(f"{step.label}: no effect of the library describes it.")
-        elif all(rival.kind == "exact" for rival in step.rivals):
+        elif step.status == "one_of" and all(rival.kind == "exact" for rival in step.rivals):
             parts.append(f"No data can separate {' from '.join(group)}.")
-        else:
+        elif step.status == "one_of":
             parts.append(f"{' or '.join(group)}: not separated.")
     return parts + [f"Joint {part.joint + 1}: {part.relation}." for part in diagnosis.unexplained]

@@ -1,4 +1,4 @@
-"""Recording a motion: by the user's command, and whether what it wrote can be used."""
+"""Recording a motion by the user's command, and doubts about what it recorded."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ from lieid_casadi.premises import check
 from lieid_casadi.recording import Recording
 
 PATIENCE = 20.0  # s that a command has to end by itself after Ctrl-C
-LOG = "record.log"
-SHIFT = 0.01  # s, resolution of the start of a motion in its recording
+STEP = 0.01  # s, resolution of the start of a motion in its recording
 DIFFERS = 1.0  # difference of torques along the probe, relative to the noise, that is reported
-BIN = 0.25  # s over which they are averaged
+AVERAGED = 25  # steps over which they are averaged
 MOVING = 0.1  # of the probe's largest speed, below which friction is undetermined
 DEVIATION = 0.1  # rad between trajectory and recording that is reported
+
+Recorded = tuple[Recording, float]  # with the time at which the motion starts in it, s
 
 
 @dataclass(frozen=True)
@@ -60,17 +61,11 @@ class RecordCommand:
 
     def __call__(self, motion: PlannedMotion) -> Recording:
         """Run the command, and load what it wrote; its output goes to ``record.log``."""
-        assert motion.folder is not None
-        paths = {
-            "{trajectory}": str(motion.folder / "trajectory.csv"),
-            "{recording}": str(motion.folder / "recording.csv"),
-        }
-        words = list(self.words)
-        for name, path in paths.items():
-            words = [word.replace(name, path) for word in words]
-        written = motion.folder / "recording.csv"
-        written.unlink(missing_ok=True)
-        log = motion.folder / LOG
+        trajectory, recording = (motion.folder / f"{x}.csv" for x in ("trajectory", "recording"))
+        words = [word.replace("{trajectory}", str(trajectory)) for word in self.words]
+        words = [word.replace("{recording}", str(recording)) for word in words]
+        recording.unlink(missing_ok=True)
+        log = motion.folder / "record.log"
         status = _run(words, log)
         if status != 0:
             last = log.read_text(errors="replace").strip().splitlines()[-1:] or ["no output"]
@@ -78,9 +73,9 @@ class RecordCommand:
             raise RecordError(
                 f"the command ended with {how} ({last[0].strip()}); its output is in {log}"
             )
-        if not written.exists():
-            raise RecordError(f"the command wrote no {written}; its output is in {log}")
-        return self.load(written)
+        if not recording.exists():
+            raise RecordError(f"the command wrote no {recording}; its output is in {log}")
+        return self.load(recording)
 
 
 def _run(words: list[str], log: Path) -> int:
@@ -104,16 +99,34 @@ def _run(words: list[str], log: Path) -> int:
             raise
 
 
-def check_premises(model: Model, recording: Recording) -> list[str]:
-    """Return doubts about a recording in sentences.
+def doubts(
+    motion: PlannedMotion, recording: Recording, fit: Fit | None, first: Recorded | None
+) -> tuple[float, list[str]]:
+    """Return when a motion starts in its recording (s), and doubts about the recording.
 
-    Raises
-    ------
-    PremiseError
-        It certainly does not belong to the robot.
+    With a fit and the ``first`` recording, the torques along the probe are compared.
     """
+    start, far = deviation(motion.samples, recording)
+    found = [
+        f"The recorded motion of joint {j + 1} differs from the trajectory by {far[j]:.2g} rad."
+        for j in np.flatnonzero(far > DEVIATION)
+    ]
+    if fit is not None and first is not None and motion.probe > 0.0:
+        samples = motion.samples.at(np.flatnonzero(motion.samples.t <= motion.probe))
+        changed = repeatability(samples, fit, first, (recording, start))
+        found += [
+            f"The torque of joint {j + 1} along the probe motion differs from the first "
+            f"recording by {changed[j]:.2g} N·m (noise: {fit.noise[j]:.2g} N·m): warm-up, "
+            "another load, or a fault."
+            for j in np.flatnonzero(changed > DIFFERS * fit.noise)
+        ]
+    return start, found
+
+
+def check_premises(model: Model, recording: Recording) -> list[str]:
+    """Return doubtful premises in sentences; one that is certainly wrong is a `PremiseError`."""
     if recording.tau is None or recording.command is not None:
-        return []
+        return []  # torques of drive laws are assumptions themselves
     try:
         found = check(model, [recording])
     except LieidError:
@@ -129,47 +142,37 @@ def check_premises(model: Model, recording: Recording) -> list[str]:
 
 def deviation(motion: MotionSamples, recording: Recording) -> tuple[float, Array]:
     """Return when a motion starts in its recording (s), and the RMS of their differences (n,)."""
-    t = np.arange(0.0, motion.t[-1], SHIFT)
+    t = np.arange(0.0, motion.t[-1], STEP)
     planned = _at(motion.t, motion.q, t)
-    slack = max(recording.t[-1] - recording.t[0] - motion.t[-1], 0.0)
-    begin = float(recording.t[0])
-    starts = begin + np.arange(0.0, slack + SHIFT, SHIFT)
-    q = np.asarray(recording.q)
-    errors = [np.square(_at(recording.t, q, t + start) - planned).mean(axis=0) for start in starts]
+    slack = max(recording.duration - motion.t[-1], 0.0)
+    starts = recording.t[0] + np.arange(0.0, slack + STEP, STEP)
+    errors = [
+        np.square(_at(recording.t, recording.q, t + start) - planned).mean(axis=0)
+        for start in starts
+    ]
     best = int(np.argmin([error.sum() for error in errors]))
     return float(starts[best]), np.sqrt(errors[best])
 
 
-def repeatability(
-    probe: MotionSamples, fit: Fit, first: tuple[Recording, float], new: tuple[Recording, float]
-) -> Array:
+def repeatability(probe: MotionSamples, fit: Fit, first: Recorded, new: Recorded) -> Array:
     """Return the difference (n,) of the torques along the probe of two recordings, N·m.
 
     It is the RMS of averages over a quarter of a second of the model's errors in motion, which the
     differences between the two motions hardly change.
-
-    Parameters
-    ----------
-    first, new : (Recording, float)
-        Each with the time at which the motion starts in it, s.
     """
-    t = np.arange(0.0, probe.t[-1], SHIFT)
+    t = np.arange(0.0, probe.t[-1], STEP)
     residuals = []
     for recording, start in (first, new):
         assert recording.tau is not None
-        error = np.asarray(recording.tau) - fit.predict(recording)
-        residuals.append(_at(recording.t, error, t + start))
-    difference = residuals[1] - residuals[0]
+        residuals.append(_at(recording.t, recording.tau - fit.predict(recording), t + start))
     speed = np.abs(_at(probe.t, probe.dq, t))
-    difference[speed < MOVING * speed.max(axis=0)] = np.nan
-    length = round(BIN / SHIFT)
-    count = len(t) // length
-    bins = difference[: count * length].reshape(count, length, -1)
-    known = np.isfinite(bins)
-    means = np.where(known, bins, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-    full = known.mean(axis=1) > 0.5
-    square = (means**2 * full).sum(axis=0) / np.maximum(full.sum(axis=0), 1)
-    return np.asarray(np.sqrt(square))
+    count = len(t) // AVERAGED
+    shape = (count, AVERAGED, -1)
+    moving = (speed > MOVING * speed.max(axis=0))[: count * AVERAGED].reshape(shape)
+    difference = (residuals[1] - residuals[0])[: count * AVERAGED].reshape(shape)
+    means = (difference * moving).sum(axis=1) / np.maximum(moving.sum(axis=1), 1)
+    used = moving.mean(axis=1) > 0.5
+    return np.asarray(np.sqrt((means**2 * used).sum(axis=0) / np.maximum(used.sum(axis=0), 1)))
 
 
 def _at(t: Array, values: Array, when: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -83,18 +83,19 @@ class Experiment:
     diagnosis : Diagnosis or None
         Of all recordings; None if there is no recording.
     stopped : str
-        ``all_named``, ``most`` (recordings), ``not_separable`` or ``record_failed``.
+        ``all_named``, ``most`` (recordings), ``not_separable`` or ``record_failed``; None while
+        the experiment goes on.
     reason : str
         One sentence.
-    folder : Path or None
+    folder : Path
     """
 
     robot: str
     rounds: tuple[Round, ...]
-    diagnosis: Diagnosis | None
-    stopped: Stopped
-    reason: str
-    folder: Path | None = field(default=None)
+    diagnosis: Diagnosis | None = None
+    stopped: Stopped | None = None
+    reason: str = ""
+    folder: Path = Path()
 
     @property
     def seconds(self) -> float:

@@ -11,8 +11,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.diagnosis import Rival
 from lieid_casadi.errors import ExcitationError, OutputError, PremiseError, RecordError
-from lieid_casadi.excitation.limits import motion_range
-from lieid_casadi.experiments.motion import MotionDesign, probe_motion
+from lieid_casadi.experiments.motion import MotionDesign
 from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
 from lieid_casadi.report import experiment_report
 
@@ -178,32 +177,31 @@ def test_purposes(ambiguous):
 @pytest.fixture(scope="module")
 def design():
     model = lieid.Model(ROBOT, "coulomb,viscous,offset")
-    joints, limits = motion_range(ROBOT, None, margin=0.8), lieid.default_limits(ROBOT)
-    probe = probe_motion(
-        model, joints, limits, fit=None, seconds=2.0, start_pose=None, rate=200.0, seed=0
+    made = MotionDesign(model, None, lieid.default_limits(ROBOT), None, 0.8, 19.0, 200.0, 0)
+    return replace(made, probe=made.probe_motion(2.0, None))
+
+
+def planned(design, purpose, fit, recordings, folder):
+    return design.next(
+        purpose, folder, fit, recordings, number=1, most=3, progress=lambda stage, done: None
     )
-    return MotionDesign(model, None, joints, limits, None, 0.8, 19.0, 200.0, 0, probe)
 
 
-def test_a_motion_for_rivals_separates_them(design, ambiguous, given):
+def test_a_motion_for_rivals_separates_them(design, ambiguous, given, tmp_path):
     purpose = Purpose("rivals", (("stribeck:1", "viscous_polynomial:1"),))
-    motion = design.next(
-        purpose, 1, ambiguous.fit, [given], most=3, progress=lambda stage, done: None
-    )
+    motion = planned(design, purpose, ambiguous.fit, [given], tmp_path)
     assert motion.duration <= 19.0
     record, _ = recorder(arm())
     found = lieid.diagnose(design.model, [given, record(motion)])
     assert [(step.label, step.status) for step in found.steps] == [("stribeck:1", "named")]
 
 
-def test_a_motion_for_a_shape_covers_speeds(design, ambiguous):
+def test_a_motion_for_a_shape_covers_speeds(design, ambiguous, tmp_path):
     t = np.arange(0.0, 10.0, 0.005)
     fourier = plant.FourierTrajectory(ROBOT, base_frequency=0.1, seed=1)
     purpose = Purpose("range", (("joint 1",),), ("dq1",))
-    motion = design.next(
-        purpose, 1, ambiguous.fit, [measured(arm(), t, *fourier.at(t))], most=3,
-        progress=lambda stage, done: None,
-    )  # fmt: skip
+    recording = measured(arm(), t, *fourier.at(t))
+    motion = planned(design, purpose, ambiguous.fit, [recording], tmp_path)
     speed = np.abs(motion.samples.dq[motion.samples.t > motion.probe])
     assert speed[:, 1].max() == 0.0
     for part in (0.03, 0.15, 0.6):
