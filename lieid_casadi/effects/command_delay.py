@@ -7,12 +7,13 @@ import numpy as np
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient, increased_or_decreased
 from lieid_casadi.effects.registry import register
+from lieid_casadi.robot.drive import Drive
 
 LEAST = 1e-3  # s; below it the column is the derivative, not the difference quotient
 BUS, BUS_SPREAD = 0.005, 0.02  # s, what bus and drive add to the hold of a command
 
 
-def known_delay(rate: float) -> tuple[float, float]:
+def known_delay(rate: float, drive: Drive | None) -> tuple[float, float]:
     """Return mean and standard deviation of a delay, s, of commands that are held at a rate, Hz."""
     return 0.5 / rate + BUS, BUS_SPREAD
 

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.errors import EffectError
+from lieid_casadi.robot.drive import Drive
 
 ShapeSymbols = Mapping[str, ca.SX]  # shape parameters by name
 Columns = Sequence[ca.SX]  # one expression per linear coefficient
@@ -130,7 +131,8 @@ class Coefficient:
     limit : float
         Size that no real arm exceeds, also of a change. A diagnosis names no larger value.
     prior : callable, optional
-        Mean and standard deviation that are known before any data, from the sampling rate, Hz.
+        Mean and standard deviation that are known before any data, from the sampling rate, Hz, and
+        the control law of the joint's drive; None if they are not known.
     """
 
     name: str
@@ -141,7 +143,7 @@ class Coefficient:
     resolved_by: Literal["", "sample_time", "lead"] = ""
     opposes_motion: bool = False
     limit: float = np.inf
-    prior: Callable[[float], tuple[float, float]] | None = None
+    prior: Callable[[float, Drive | None], tuple[float, float] | None] | None = None
 
 
 @dataclass(frozen=True)

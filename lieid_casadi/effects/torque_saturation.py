@@ -6,14 +6,23 @@ import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
+from lieid_casadi.robot.drive import Drive
+
+KNOWN = 1e-3  # relative standard deviation of a stiffness that the drive's law states
+
+
+def stiffness_of_law(rate: float, drive: Drive | None) -> tuple[float, float] | None:
+    """Return the stiffness of the drive, which the limit of its torque does not change."""
+    return None if drive is None else (drive.stiffness, KNOWN * drive.stiffness)
 
 
 @register
 class TorqueSaturation(Effect):
     """Torque stops growing at the error e_s: the law exceeds it by K·(|e| − e_s)·sgn(e), |e| > e_s.
 
-    e = q_cmd − q in rad, K in N·m/rad (the drive's stiffness); the limit of the torque is K·e_s in
-    N·m. Of position-controlled drives. Confused with `torque_gain`.
+    e = q_cmd − q in rad, K in N·m/rad (the drive's stiffness, which its law states); the limit of
+    the torque is K·e_s in N·m. It replaces a higher limit of the law, beyond which e does not act.
+    Of position-controlled drives. Confused with `torque_gain`.
     """
 
     name = "torque_saturation"
@@ -23,7 +32,11 @@ class TorqueSaturation(Effect):
         "The drive of {joints} delivers more at large errors than before",
     )
     formula = "K·max(|q_cmd − q| − e_s, 0)·sgn(q_cmd − q)"
-    coefficients = (Coefficient("K", "N·m/rad", lower=0.0, meaning="stiffness of the drive"),)
+    coefficients = (
+        Coefficient(
+            "K", "N·m/rad", lower=0.0, meaning="stiffness of the drive", prior=stiffness_of_law
+        ),
+    )
     shapes = (
         Shape(
             "e_s", "rad", 0.1, 0.003, 3.0,

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import LieidWarning, RecordingError
+from lieid_casadi.robot.drive import Drive
 
 #: Prefix of the columns in files -> field of a measurement.
 FIELDS = {
@@ -50,6 +51,8 @@ class Measurement:
         Label of the payload for each row (column ``load``).
     torque_constants
         (n) N·m/A with which ``tau`` was computed from ``current``; None if ``tau`` was recorded.
+    drives
+        (n) control laws with which ``tau`` was computed from ``command``; None otherwise.
     units
         Units of the source that were converted: ``deg``, and ``ms``, ``us`` or ``ns``.
     columns
@@ -77,6 +80,7 @@ class Measurement:
     command: Array | None = None
     payload_label: tuple[str, ...] | None = None
     torque_constants: tuple[float, ...] | None = None
+    drives: tuple[Drive, ...] | None = None
     units: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     corrections: tuple[str, ...] = ()

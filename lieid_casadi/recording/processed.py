@@ -107,8 +107,17 @@ class Processed:
 
     @property
     def command_error(self) -> Array | None:
-        """(K, n) commanded minus measured position, None without commands."""
-        return None if self.command is None else self.command - self.q
+        """(K, n) commanded minus measured position that the drives' laws do not limit, or None.
+
+        It is None without commands. Beyond the limit of a law an error does not act.
+        """
+        if self.command is None:
+            return None
+        error, laws = self.command - self.q, self.recording.drives
+        if laws is None:
+            return error
+        columns = [x.effective_error(error[:, j], self.dq[:, j]) for j, x in enumerate(laws)]
+        return np.stack(columns, axis=1)
 
     def __len__(self) -> int:
         return int(self.t.size)

@@ -301,7 +301,7 @@ class Recording(Measurement):
         RecordingError
             No commanded positions, or not one law per joint.
         """
-        return replace(self, tau=torque_of_commands(self, drives))
+        return replace(self, tau=torque_of_commands(self, drives), drives=tuple(drives))
 
     def save(self, path: str | Path) -> None:
         """Write ``.csv``, ``.csv.gz``, ``.npz`` or ``.parquet``, atomically, values exact.

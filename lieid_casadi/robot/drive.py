@@ -75,6 +75,16 @@ class Drive:
             torque = clip(torque, -self.torque_limit, self.torque_limit)
         return torque
 
+    def effective_error(
+        self, error: Any, velocity: Any, *, clip: Callable[[Any, float, float], Any] = np.clip
+    ) -> Any:
+        """Return the position error that gives the torque of the law without its limits, rad.
+
+        Arguments are those of `torque`.
+        """
+        torque = self.torque(error, velocity, clip=clip)
+        return (torque + self.damping * velocity) / self.stiffness
+
     def limited(self, torque_limit: float) -> Drive:
         """Return the law with a joint's torque limit, N·m (NaN: not stated).
 

@@ -173,8 +173,10 @@ def _forces(
     m, n = torque.motion, torque.n
     zero = ca.SX.zeros(n)
     friction = ca.substitute(torque.joint_torque, m.ddq, zero)
-    if error is not None:
-        friction = ca.substitute(friction, error, given - m.q)
+    if error is not None and drives is not None:
+        pairs = zip(drives, ca.vertsplit(given - m.q), ca.vertsplit(m.dq), strict=True)
+        acting = ca.vertcat(*(law.effective_error(e, v, clip=clip) for law, e, v in pairs))
+        friction = ca.substitute(friction, error, acting)
     now = ca.sign(m.dq)
     sides = []
     for side in (1.0, -1.0):

@@ -254,12 +254,15 @@ def with_priors(factor: Factor, design: Design) -> Factor:
     than they are, and the prior by the same factor.
     """
     model, first = design.model, design.segments[0]
+    laws = model.robot.drives or (None,) * model.n
     own = [(p, c) for p in model.placements for c in p.effect.coefficients]
     rows = []
     for k, column in enumerate(model.base.kept - 10 * model.n):
-        prior = own[column][1].prior if column >= 0 else None
-        if prior is not None:
-            mean, spread = prior(first.recording.rate)
+        if column < 0 or own[column][1].prior is None:
+            continue
+        known = own[column][1].prior(first.recording.rate, laws[own[column][0].joint])
+        if known is not None:
+            mean, spread = known
             row = np.zeros(factor.r.shape[1])
             row[[k, -1]] = np.array([1.0, mean]) * np.sqrt(rows_per_independent(first)) / spread
             rows.append(row)
