@@ -105,9 +105,11 @@ def search(
     if prior is None:
         rows = _with_single_recordings(rows)
     paths = Paths(*_weighted(rows, scale, prior), nothing)
-    whole = forward(paths, -1, _rules(paths.columns, rows, options))
-    rest = _residual_beside(paths, whole, rows, scale)
-    rules = _rules(paths.columns, rows, options, _redundancy(rows, rest))
+    dependent = np.ones(len(rows.runs))
+    if prior is None:
+        whole = forward(paths, -1, _rules(paths.columns, rows, options))
+        dependent = _redundancy(rows, _residual_beside(paths, whole, rows, scale))
+    rules = _rules(paths.columns, rows, options, dependent)
     whole = forward(paths, -1, rules)
     folds = folds_of(rows, _residual_beside(paths, whole, rows, scale), options.folds)
     paths = Paths(paths.span, paths.columns, folds.out)

@@ -91,7 +91,7 @@ def test_effects_that_are_there_are_selected_in_every_path_and_noise_is_not_supp
     loose = rules(columns, penalty=1.0)  # so loose that paths contain noise
     whole = forward(paths, -1, loose)
     parts_of = [forward(paths, k, loose) for k in range(10)]
-    slots = judge(paths, folds, whole, parts_of, np.zeros((2 * ROWS, 0)))
+    slots = judge(span, columns, folds, whole, parts_of, np.zeros((2 * ROWS, 0)))
     found = {slot.group: slot for slot in slots}
     assert {2, 5} <= set(found)
     for group, slot in found.items():
