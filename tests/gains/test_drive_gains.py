@@ -1,6 +1,7 @@
 """Drive gains identified from simulated currents with known torque constants."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -20,8 +21,10 @@ LOADED = ARM.with_effects(PAYLOAD)
 CUTOFF = lieid.Processing(cutoff=8.0)
 
 
-def amperes(arm, *, motion=4, seed=0, seconds=30.0, harmonics=8, sensors=None, gains=GAINS, name="",
-            still=()):  # fmt: skip
+@lru_cache(maxsize=16)
+def amperes(
+    arm, *, motion=4, seed=0, seconds=30.0, harmonics=8, sensors=None, gains=None, name="", still=()
+):
     """Return currents of an arm on a random motion; joints in ``still`` do not move."""
     path = plant.FourierTrajectory(
         arm.robot, base_frequency=1 / seconds, harmonics=harmonics, seed=motion
@@ -32,7 +35,13 @@ def amperes(arm, *, motion=4, seed=0, seconds=30.0, harmonics=8, sensors=None, g
         q[:, j], dq[:, j], ddq[:, j] = q[0, j], 0.0, 0.0
     quality = sensors or plant.demo_sensors(arm.robot)
     run = plant.measure_along(arm, t, q, dq, ddq, sensors=quality, seed=seed)
-    return lieid.Recording.from_arrays(run.t, run.q, run.dq, current=run.tau / gains, name=name)
+    return lieid.Recording.from_arrays(
+        run.t,
+        run.q,
+        run.dq,
+        current=run.tau / (GAINS if gains is None else np.array(gains)),
+        name=name,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +81,8 @@ def test_exact_without_noise_and_friction():
     gains = np.array([3.0, -250.0, 0.1, 1.0, 40.0, 7.0, -2.0])
     ideal = plant.Sensors(rate=200.0)
     bare = replace(PANDA, joints=tuple(replace(j, link=None) for j in PANDA.joints))
-    one = amperes(still, sensors=ideal, gains=gains)
-    other = amperes(still.with_effects(PAYLOAD), motion=5, sensors=ideal, gains=gains)
+    one = amperes(still, sensors=ideal, gains=tuple(gains))
+    other = amperes(still.with_effects(PAYLOAD), motion=5, sensors=ideal, gains=tuple(gains))
     found = lieid.drive_gains(bare, one, other, mass=MASS, effects="", processing=CUTOFF)
     assert np.allclose(found.gains, gains, rtol=1e-3)
     assert np.allclose(found.com, COM, atol=1e-4)
@@ -163,7 +172,7 @@ def test_slow_motion_does_not_identify_the_gain_of_a_vertical_axis():
 
 
 def test_a_joint_that_never_moves_is_reported_and_the_others_are_found():
-    one, other = amperes(ARM, still=[6]), amperes(LOADED, motion=5, seed=1, still=[6])
+    one, other = amperes(ARM, still=(6,)), amperes(LOADED, motion=5, seed=1, still=(6,))
     found = lieid.drive_gains(PANDA, one, other, mass=MASS, processing=CUTOFF)
     assert [(p.joint, p.reason) for p in found.not_identified] == [(6, "the joint never moves")]
     assert np.isnan(found.gains[6])
@@ -202,7 +211,7 @@ def test_unsuitable_input_is_refused(unloaded):
     with pytest.raises(IdentificationError, match=r"empty\.csv: given as unloaded and as loaded"):
         gains(unloaded, unloaded)
     two_link = lieid.robots.two_link()
-    small = amperes(plant.demo_arm(two_link, hidden=None), gains=GAINS[:2])
+    small = amperes(plant.demo_arm(two_link, hidden=None), gains=tuple(GAINS[:2]))
     with pytest.raises(ModelError, match=r"2 joints; robot .* has 7"):
         gains(unloaded, small)
     torque = replace(unloaded, current=None, tau=unloaded.current, source_hash="x")

@@ -1,5 +1,7 @@
 """Runs of simulated arms with and without a payload of known parameters."""
 
+from functools import lru_cache
+
 import numpy as np
 
 import lieid_casadi as lieid
@@ -14,6 +16,7 @@ CUTOFF = lieid.Processing(cutoff=8.0)
 PANDA = lieid.robots.panda()
 
 
+@lru_cache(maxsize=16)
 def measured(arm, *, motion=4, seed=0, seconds=30.0, sensors=None, name="", motion_robot=None):
     """A recording of an arm on a random motion that it tracks perfectly."""
     path = plant.FourierTrajectory(
