@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import itertools
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -52,6 +53,7 @@ SIGNALS = {
     "qcmd": "commanded positions [rad]",
 }
 IN_SIGHT = 4  # of these options; the others are folded
+MOST_VALUES = 8  # of a signal in the preview
 HEADER_LINES, HEADER_LENGTH = 1000, 1 << 16
 _DROP = """<script>
 addEventListener('dragover', (event) => event.preventDefault());
@@ -272,6 +274,7 @@ class _ColumnsDialog:
     """Assigns the columns of the first recording to signals; ``done`` is called with the option."""
 
     def __init__(self, done: Callable[[str], None]) -> None:
+        self._values: dict[str, list[str]] = {}
         with ui.dialog().props("transition-duration=0") as self._dialog, ui.card():
             self._title = ui.label("").classes("panel-title")
             self._chosen = {
@@ -289,7 +292,8 @@ class _ColumnsDialog:
     def show(self, recordings: list[RecordingInput]) -> None:
         """Show the columns of the first recording, and propose their meaning."""
         path = recordings[0].path.rpartition("@")[0] or recordings[0].path if recordings else ""
-        patterns = column_patterns(path)
+        self._values = first_values(path)
+        patterns = list(self._values)
         name = PurePath(path).name or "no recording"
         what = "columns (* is the number of the joint)" if patterns else "its columns are not known"
         self._title.text = f"{name}: {what}"
@@ -304,27 +308,44 @@ class _ColumnsDialog:
         return ",".join(f"{name}={value}" for name, value in chosen.items() if value)
 
     def _preview(self) -> None:
-        self._text.text = f"--columns {self._stated()}"
+        shown = [f"--columns {self._stated()}", "", "first row"]
+        for name, choice in self._chosen.items():
+            if choice.value:
+                values = self._values.get(choice.value, [])
+                more = " …" if len(values) > MOST_VALUES else ""
+                shown.append(f"{name}: {'  '.join(values[:MOST_VALUES])}{more}")
+        self._text.text = "\n".join(shown)
 
     def _use(self, done: Callable[[str], None]) -> None:
         done(self._stated())
         self._dialog.close()
 
 
-def column_patterns(path: str) -> list[str]:
-    """Return the columns of a CSV or NPZ with ``*`` for numbers; none of other files."""
-    names: list[str] = []
-    with contextlib.suppress(OSError, ValueError, EOFError):
+def first_values(path: str) -> dict[str, list[str]]:
+    """Return the columns of a CSV or NPZ with ``*`` for numbers, and the values of the first row.
+
+    None of other files.
+    """
+    row: list[tuple[str, str]] = []
+    with contextlib.suppress(OSError, ValueError, EOFError, IndexError):
         if path.lower().endswith(".npz"):
             with np.load(path, allow_pickle=False) as arrays:
-                names = list(arrays.files)
+                for name in arrays.files:
+                    row += [(name, f"{x}") for x in np.ravel(np.atleast_1d(arrays[name])[:1])]
         elif path.lower().endswith((".csv", ".csv.gz")) and Path(path).is_file():
             opened = gzip.open if path.lower().endswith(".gz") else open
             with opened(path, "rt", encoding="utf-8", errors="replace") as file:
-                lines = (file.readline(HEADER_LENGTH) for _ in range(HEADER_LINES))
-                header = next((line for line in lines if not line.startswith("#")), "")
-                names = [name.strip() for name in header.split(",")]
-    return list(dict.fromkeys(re.sub(r"\d+", "*", name, count=1) for name in names if name))
+                read = (file.readline(HEADER_LENGTH) for _ in range(HEADER_LINES))
+                lines = (line for line in read if not line.startswith("#"))
+                header, values = (next(lines, "").strip().split(",") for _ in range(2))
+                row = [
+                    (n.strip(), v) for n, v in itertools.zip_longest(header, values, fillvalue="")
+                ]
+    found: dict[str, list[str]] = {}
+    for name, value in row:
+        if name:
+            found.setdefault(re.sub(r"\d+", "*", name, count=1), []).append(value.strip()[:9])
+    return found
 
 
 def proposed_columns(patterns: list[str]) -> dict[str, str]:

@@ -438,7 +438,7 @@ class Workbench:
 
     async def _load_motion(self) -> None:
         inputs = self.session.inputs
-        with contextlib.suppress(WorkerStopped):
+        with contextlib.suppress(LieidError):
             motion = await self._front.request("motion", inputs, recording=self.session.recording)
             if self.session.inputs is inputs:
                 self.motion = motion

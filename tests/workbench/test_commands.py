@@ -79,6 +79,13 @@ def test_with_a_drive_law(commanded, tmp_path, monkeypatch, capsys):
     check(session, evaluation, fit, tmp_path, monkeypatch)
 
 
+def test_with_corrections_of_premises(two_link_files, tmp_path, monkeypatch, capsys):
+    corrections = ["--torque-sign", "1", "1", "--time-offset", "0.0005"]
+    session, evaluation, fit = shown(["two_link", *map(str, two_link_files), *corrections])
+    assert session.inputs.words == ["--torque-sign", "1", "1", "--time-offset", "0.0005"]
+    check(session, evaluation, fit, tmp_path, monkeypatch)
+
+
 def test_with_a_fit_in_place_of_the_robot(two_link_files, tmp_path, monkeypatch, capsys):
     old, _ = write_recordings(tmp_path, load_friction=0.0)
     robot = lieid.robots.two_link()

@@ -5,12 +5,14 @@ import json
 import shlex
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lieid_casadi.cli.main import build_parser
 from lieid_casadi.workbench.commands import python_lines, shell_lines
+from lieid_casadi.workbench.open_panel import first_values
 from lieid_casadi.workbench.session import (
     ExcludedRange,
     ProposedEffect,
@@ -164,3 +166,18 @@ def test_effects_that_were_found_are_added_in_one_step():
 def test_names_that_leave_the_folder_are_not_read(folder):
     (folder.parent / "secret.json").write_text("{}")
     assert load_session("../secret") is None
+
+
+@pytest.mark.parametrize("name", ["run.csv", "run.csv.gz", "run.npz"])
+def test_columns_are_previewed_with_their_first_values(name, tmp_path):
+    rows = np.array([[0.0, 1.5, -2.25], [0.01, 1.6, -2.2]])
+    path = tmp_path / name
+    if name.endswith(".npz"):
+        np.savez(path, stamp=rows[:, 0], pos=rows[:, 1:])
+        expected = {"stamp": ["0.0"], "pos": ["1.5", "-2.25"]}
+    else:
+        text = "stamp,pos_1,pos_2"
+        np.savetxt(path, rows, "%g", ",", header=f"# by a recorder\n{text}", comments="")
+        expected = {"stamp": ["0"], "pos_*": ["1.5", "-2.25"]}
+    assert first_values(str(path)) == expected
+    assert first_values(str(tmp_path / "other.mcap")) == {}
