@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import Columns
-from lieid_casadi.diagnosis.folds import Folds, folds_of, redundancy
+from lieid_casadi.diagnosis.folds import Folds, folds_of
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.nested import Slot, judge, solved
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -105,11 +106,10 @@ def search(
     if prior is None:
         rows = _with_single_recordings(rows)
     paths = Paths(*_weighted(rows, scale, prior), nothing)
-    dependent = np.ones(len(rows.runs))
+    rules = _rules(paths.columns, rows, options)
     if prior is None:
-        whole = forward(paths, -1, _rules(paths.columns, rows, options))
-        dependent = _redundancy(rows, _residual_beside(paths, whole, rows, scale))
-    rules = _rules(paths.columns, rows, options, dependent)
+        rest = _residual_beside(paths, forward(paths, -1, rules), rows, scale)
+        rules = _rules(paths.columns, rows, options, _dependence(paths.columns, rows, rest))
     whole = forward(paths, -1, rules)
     folds = folds_of(rows, _residual_beside(paths, whole, rows, scale), options.folds)
     paths = Paths(paths.span, paths.columns, folds.out)
@@ -189,15 +189,27 @@ def _weighted(rows: Rows, spread: Array, prior: Array | None) -> tuple[Span, Col
     return Span.of(model, residual, prior), rows.columns.weighted(weights)
 
 
-def _redundancy(rows: Rows, residual: Sequence[Array]) -> Array:
-    """Return the rows per independent sample of each joint's residual (n,)."""
-    return np.array(
-        [redundancy(noise_of(r, run)) for r, run in zip(residual, rows.runs, strict=True)]
-    )
+def _dependence(columns: Columns, rows: Rows, residual: Sequence[Array]) -> Array:
+    """Return how much more each group gains from noise as correlated as a residual (G,).
+
+    That is the variance of a column's product with such noise, relative to white noise of the same
+    size, at least 1. A column of slow changes gains more from slow noise than one of fast changes.
+    """
+    power, coloured = np.zeros((2, columns.count))
+    for own, rest, run in zip(columns.joints, residual, rows.runs, strict=True):
+        if not len(own.matrix):
+            continue
+        length = next_fast_len(2 * len(rest), real=True)
+        density = np.abs(np.fft.rfft(noise_of(rest, run).filter, length)) ** -2
+        spectrum = np.abs(np.fft.rfft(own.matrix, length, axis=0)) ** 2
+        power[own.columns] += spectrum.sum(axis=0)
+        coloured[own.columns] += density @ spectrum / density.mean()
+    each = np.divide(coloured, power, out=np.ones(columns.count), where=power > 0.0)
+    return np.maximum(np.add.reduceat(each, columns.start) / columns.size, 1.0)
 
 
 def _rules(
-    columns: Columns, rows: Rows, options: DiagnosisOptions, dependent: Array | None = None
+    columns: Columns, rows: Rows, options: DiagnosisOptions, dependence: Array | None = None
 ) -> Rules:
     """Return what the paths over some columns may contain."""
 
@@ -205,13 +217,12 @@ def _rules(
         candidate = columns.candidate(group)
         return reason_against(candidate, columns.shapes(group), values, rows.segments) is None
 
-    count = np.array([max(run.count, 2) for run in rows.runs], dtype=float)
-    dependent = np.ones(len(count)) if dependent is None else dependent
-    own = dependent * np.log(np.maximum(count / dependent, 2.0))
-    arm = max(dependent) * np.log(max(count.sum() / max(dependent), 2.0))
-    each = np.array([arm if c.reaches_all else own[c.joint] for c in columns.owners])[columns.owner]
+    own = np.array([max(run.count, 2) for run in rows.runs], dtype=float)
+    count = np.array([own.sum() if c.reaches_all else own[c.joint] for c in columns.owners])
+    more = np.ones(len(columns.size)) if dependence is None else dependence
+    independent = np.maximum(count[columns.owner] / more, 2.0)
     return Rules(
-        options.penalty * columns.parameters * each,
+        options.penalty * columns.parameters * more * np.log(independent),
         columns.support > options.least_support,
         np.array([c.name == SMOOTH for c in columns.owners], dtype=bool)[columns.owner],
         allowed,

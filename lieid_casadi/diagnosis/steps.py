@@ -85,10 +85,16 @@ class Accepted:
         return replace(self, shapes=values if along else shapes)
 
     def determined(self, fit: Fit, deviations: float) -> bool:
-        """Whether one of its coefficients differs from zero by a number of standard deviations."""
-        _, _, numbers = fitted_values(fit, self.placement)
-        own = [numbers[c.name] for c in self.candidate.effect.coefficients if c.name in numbers]
-        return not own or any(not abs(value) < deviations * std for value, std, _ in own)
+        """Whether its coefficients together differ from zero by a number of standard deviations."""
+        effect, joint = self.placement.effect, self.placement.joint
+        names = {f"{effect.label}.{c.name}" for c in effect.coefficients}
+        fitted = fit.model.base_columns
+        own = [k for k, p in enumerate(fitted) if p.name in names and p.joint == joint]
+        covariance = fit.covariance[np.ix_(own, own)]
+        if not own or not np.isfinite(covariance).all():
+            return True
+        distance = fit.values[own] @ np.linalg.pinv(covariance, hermitian=True) @ fit.values[own]
+        return bool(distance >= deviations**2 * len(own))
 
 
 def fitted_values(
