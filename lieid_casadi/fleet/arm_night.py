@@ -26,7 +26,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.identification.regression.design_matrix import Design, rows_per_independent
-from lieid_casadi.identification.regression.least_squares import joint_factors
+from lieid_casadi.identification.regression.least_squares import joint_factors, row_weights
 from lieid_casadi.identification.uncertainty.covariance import prior_rows
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.premises import PremiseCheck, check
@@ -62,9 +62,7 @@ def night_estimate(fit: Fit, recording: Recording, noise: Array) -> NightEstimat
     segments, _ = center_temperature(process([recording], fit.processing), fit.temperature_mean)
     rows = Design(fit.compiled, segments).rows(fit.shapes, fit.parameters)
     sizes = noise * np.sqrt(rows_per_independent(segments[0]))
-    factors = joint_factors(
-        rows, [np.full(len(j.torque), 1.0 / s) for j, s in zip(rows.joints, sizes, strict=True)]
-    )
+    factors = joint_factors(rows, row_weights(rows, 1.0 / sizes))
     stacked = np.concatenate([factor.r for factor in factors])
     matrix, torque = stacked[:, :-1], stacked[:, -1]
     effects = np.flatnonzero(fit.model.base.kept >= 10 * fit.model.n)

@@ -30,6 +30,7 @@ from lieid_casadi.identification.regression.least_squares import (
     Rows,
     combine,
     joint_factors,
+    row_weights,
     solve,
 )
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
@@ -231,7 +232,7 @@ class GainProblem:
                 matrix[:, j] -= e / found.gains[j]
             clean.append(JointRows(joint.columns[:-1], matrix, e, joint.instant))
         exact = Rows(clean, self.width, rows.segments)
-        weights = [np.full(len(j.torque), 1.0 / s) for j, s in zip(clean, noise, strict=True)]
+        weights = row_weights(exact, 1.0 / noise)
         least = solve(combine(joint_factors(exact), 1.0 / noise))
         return GainSolution(
             gains=found.gains,

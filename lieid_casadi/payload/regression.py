@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import (
@@ -31,6 +30,7 @@ from lieid_casadi.identification.regression.least_squares import (
     Rows,
     combine,
     joint_factors,
+    row_weights,
     solve,
 )
 from lieid_casadi.identification.regression.variable_projection import shape_columns
@@ -114,10 +114,7 @@ class LoadedRun:
                 converged = True
                 break
         unit = solution.unit_covariance
-        each = [
-            np.full(int(length), weight)
-            for length, weight in zip(rows.lengths, self._weights(noise), strict=True)
-        ]
+        each = row_weights(rows, self._weights(noise))
         covariance = hac_covariance(rows, each, rows.residuals(solution.values), unit)
         known = slice(BODY, BODY + self.root.shape[1])
         covariance = covariance + unit[:, known] @ unit[known, :]
@@ -200,10 +197,7 @@ class LoadedRun:
         known = self.root.shape[1]
         prior = np.zeros((known, factor.r.shape[1]))
         prior[:, BODY : BODY + known] = np.eye(known)
-        triangle = Triangle(factor.r.shape[1])
-        triangle.add(factor.r)
-        triangle.add(prior)
-        return Factor(triangle.r, factor.rows + known)
+        return combine([factor, Factor(prior, known)], [1.0, 1.0])
 
     def _noise(self, rows: Rows, solved: Array, before: Array) -> Array:
         """Return each joint's residual standard deviation (n,)."""

@@ -241,7 +241,7 @@ def ols(rows: Rows) -> Weighting:
     """Ordinary least squares: the same weight for every row."""
     factor = stacked(rows)
     noise = _noise(rows.factors, solve(factor).values, rows)
-    return Weighting(factor, noise, _row_weights(rows, np.ones(len(rows.joints))), True)
+    return Weighting(factor, noise, row_weights(rows, np.ones(len(rows.joints))), True)
 
 
 def wls(rows: Rows) -> Weighting:
@@ -256,7 +256,7 @@ def wls(rows: Rows) -> Weighting:
         if converged:
             break
     return Weighting(
-        combine(factors, 1.0 / noise), noise, _row_weights(rows, 1.0 / noise), converged
+        combine(factors, 1.0 / noise), noise, row_weights(rows, 1.0 / noise), converged
     )
 
 
@@ -306,7 +306,8 @@ def _uses(rows: Rows, columns: Indices) -> float:
     return float(np.mean(total[columns])) if len(columns) else 1.0
 
 
-def _row_weights(rows: Rows, per_joint: Array) -> tuple[Array, ...]:
+def row_weights(rows: Rows, per_joint: Array) -> tuple[Array, ...]:
+    """Return one weight per row (R,) of each joint, from one per joint (n,)."""
     return tuple(np.full(length, w) for length, w in zip(rows.lengths, per_joint, strict=True))
 
 
