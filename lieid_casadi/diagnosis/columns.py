@@ -83,6 +83,15 @@ class Columns:
         return np.asarray(each[self.owner])
 
     @cached_property
+    def common(self) -> Indices:
+        """Of each owner that is a drift in one recording, the owner that is it in all; else −1."""
+        labels = {c.label: k for k, c in enumerate(self.owners) if c.effect.per_recording}
+        alone = [c.recording is not None for c in self.owners]
+        pairs = zip(self.owners, alone, strict=True)
+        each = [labels.get(c.placement.label, -1) if one else -1 for c, one in pairs]
+        return np.array(each, dtype=np.intp)
+
+    @cached_property
     def by_size(self) -> tuple[tuple[Indices, Indices], ...]:
         """The groups of each size, and their columns (g, k)."""
         found = []

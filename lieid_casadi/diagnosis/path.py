@@ -432,7 +432,8 @@ def _best(state: PathState, rules: Rules, refused: Mask, least: float = 0.0) -> 
     """Return the group with the largest gain beyond its penalty and ``least``, None without one."""
     columns = state.paths.columns
     gains, values = state.gains(rules.usable)
-    taken = np.isin(columns.owner, columns.owner[list(state.groups)])
+    owners = columns.owner[list(state.groups)]
+    taken = np.isin(columns.owner, [*owners, *columns.common[owners]])
     score = np.where(rules.usable & ~refused & ~taken, gains - rules.penalty, 0.0)
     while True:
         best = int(np.argmax(score)) if len(score) else 0
