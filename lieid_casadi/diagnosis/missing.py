@@ -197,11 +197,14 @@ class MissingEffects:
     def _accepted(self, found: Round, have: set[str]) -> list[Accepted]:
         """Return the effects of a round that pass; the reasons against the others are kept."""
         new = list[Slot]()
-        for slot in found.slots:
-            if found.columns.candidate(slot.group).recording is not None:
+        candidates = {slot: found.columns.candidate(slot.group) for slot in found.slots}
+        sure = {c.label for s, c in candidates.items() if s.reason(self.options) is None} | have
+        for slot, candidate in candidates.items():
+            if candidate.recording is not None:
                 continue
-            label = found.columns.candidate(slot.group).label
-            reason = slot.reason(self.options)
+            label = candidate.label
+            others = {x for x in sure - {label} if x.partition(":")[0] == label.partition(":")[0]}
+            reason = slot.reason(self.options, elsewhere=len(others))
             if reason is None and self.ask is not None and label not in have:
                 joint = slot.joint
                 sizes = found.spread[joint] * np.sqrt(

@@ -24,6 +24,7 @@ from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Span
 
 DEPENDENT = 1e-8  # of a largest eigenvalue
 SMALLEST = 1e-12  # part of an error below which it counts as zero
+OTHER_JOINTS = 2  # that have an effect, from which less evidence is enough on a further joint
 ALIKE = 0.5  # part of an effect's torque that a group must be able to replace to count as a rival
 
 
@@ -71,15 +72,20 @@ class Slot:
         before, after = self.before[self.joint], self.after[self.joint]
         return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else 0.0
 
-    def reason(self, options: DiagnosisOptions) -> str | None:
-        """Return why the held-out parts do not support the effect, or None."""
+    def reason(self, options: DiagnosisOptions, *, elsewhere: int = 0) -> str | None:
+        """Return why the held-out parts do not support the effect, or None.
+
+        Half of the standard errors are enough if it is on two other joints: drives of one arm
+        resemble each other.
+        """
         if self.fall < options.worth:
             falls = f"falls by only {100 * self.fall:.1f} %" if self.fall > 0 else "does not fall"
             return f"the held-out error of joint {self.joint + 1} {falls}"
-        if self.deviations < options.gain_deviations:
+        limit = options.gain_deviations * (0.5 if elsewhere >= OTHER_JOINTS else 1.0)
+        if self.deviations < limit:
             return (
                 f"the gain on held-out parts is {self.deviations:.1f} of its standard errors "
-                f"(limit {options.gain_deviations:g})"
+                f"(limit {limit:g})"
             )
         return None
 
