@@ -173,7 +173,8 @@ class MachineEvaluation:
     def values(self, values: Mapping[str, Array], first: int, last: int) -> Array:
         """Return the values (nnz, last − first) of samples first … last − 1, in their order."""
         part = {name: x[first:last].T if x.ndim == 2 else x for name, x in values.items()}
-        part |= {"sin": np.sin(part["q"]), "cos": np.cos(part["q"])}
+        if "q" in part:
+            part |= {"sin": np.sin(part["q"]), "cos": np.cos(part["q"])}
         found = [np.zeros((0, last - first))]
         for sparse in self.functions:
             f = sparse.function

@@ -78,9 +78,21 @@ class Drive:
     def effective_error(
         self, error: Any, velocity: Any, *, clip: Callable[[Any, float, float], Any] = np.clip
     ) -> Any:
-        """Return the position error that gives the torque of the law without its limits, rad.
+        """Return the position error that gives the torque of the law without its limits.
 
-        Arguments are those of `torque`.
+        Parameters
+        ----------
+        error : (N,)
+            q_cmd − q, rad; numbers or symbols.
+        velocity : (N,)
+            q̇, rad/s.
+        clip : callable
+            As for `torque`.
+
+        Returns
+        -------
+        (N,)
+            rad.
         """
         torque = self.torque(error, velocity, clip=clip)
         return (torque + self.damping * velocity) / self.stiffness

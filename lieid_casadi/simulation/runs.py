@@ -147,6 +147,15 @@ def runs_of(fit: Fit, recording: Recording, window: float, under: Input) -> list
     return made
 
 
+def delays_of(fit: Fit) -> Array:
+    """Return the delay (n,) of the commands that a fit states, s."""
+    delays = np.zeros(fit.model.n)
+    for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
+        if column.name == f"{CommandDelay.name}.delta":
+            delays[column.joint] = max(float(value), 0.0)
+    return delays
+
+
 FARTHEST = 1e3  # rad, at which a simulation has left every range
 
 
@@ -185,15 +194,6 @@ class Integrator:
         path = self._paths(run, np.zeros(1, dtype=int), len(run.segment) - 1)
         return np.asarray(path[:, 0, : self._fit.model.n] - run.segment.q)
 
-    def _delays(self) -> Array:
-        """Return the delay (n,) of the commands that the fit states, s."""
-        fit = self._fit
-        delays = np.zeros(fit.model.n)
-        for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
-            if column.name == f"{CommandDelay.name}.delta":
-                delays[column.joint] = max(float(value), 0.0)
-        return delays
-
     def _paths(self, run: Run, starts: NDArray[np.int_], length: int) -> Array:
         """Return states (length + 1, W, d) from the measured states at the starts (W,)."""
         segment, m, windows = run.segment, run.substeps, len(starts)
@@ -206,7 +206,7 @@ class Integrator:
         chunk = self._step.mapaccum("chunk", m).map(windows)
         if run.under == "torque":
             run = replace(run, segment=with_torque_of_drives(self._fit, segment))
-        inputs = run.inputs(self._delays())
+        inputs = run.inputs(delays_of(self._fit))
         steps = np.full((1, windows * m), run.h)
         for k in range(length):
             columns = ((starts + k) * m)[:, None] + np.arange(m)

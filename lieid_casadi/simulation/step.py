@@ -88,7 +88,9 @@ class _Forces:
     bias: ca.SX
 
 
-def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
+def step_function(
+    fit: Fit, drives: Sequence[Drive] | None, *, parametric: bool = False
+) -> ca.Function:
     """Return the step ``(state, input, temperature, time, h) -> state``.
 
     The scheme is drift-kick-drift: forces act at x + h/2·ẋ, x being the angles of the motors and
@@ -99,6 +101,8 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
     at the acceleration of the step before.
 
     ``drives``: control laws: the input is the commanded position; None: it is the torque.
+    ``parametric``: a further input ``numbers`` (10 n + m + s,) are the link parameters,
+    coefficients and shape parameters in place of those of the fit; the widths of plays remain.
 
     Returns
     -------
@@ -106,8 +110,9 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
         ``state`` is [x; ẋ; ẍ; set-valued forces; states of effects with memory].
     """
     model, n, x = fit.model, fit.model.n, Coordinates.of(fit)
-    numbers = (fit.link_parameters, fit.effect_coefficients, fit.shapes)
-    links, effects, shapes = (ca.SX(ca.DM(x)) for x in numbers)
+    own = np.concatenate([fit.parameters, fit.shapes])
+    numbers = ca.SX.sym("numbers", len(own)) if parametric else ca.SX(ca.DM(own))
+    links, effects, shapes = ca.vertsplit(numbers, [0, 10 * n, len(fit.parameters), len(own)])
     values = Values(links, effects, shapes, False, fit.temperature_mean)
     sign = ca.SX.sym("sign", n)
     error = None if drives is None else ca.SX.sym("error", n)
@@ -149,8 +154,8 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
     ]  # fmt: skip
     result = ca.substitute(ca.vertcat(*after), torque.load, load)
     state = ca.vertcat(start, speed, before, held, torque.states)
-    inputs = [state, given, torque.temperature, torque.time, h]
-    names = ["state", "input", "temperature", "time", "h"]
+    inputs = [state, given, torque.temperature, torque.time, h, *([numbers] if parametric else [])]
+    names = ["state", "input", "temperature", "time", "h", "numbers"][: len(inputs)]
     return ca.Function("step", inputs, [ca.densify(result)], names, ["after"], {"cse": True})
 
 
