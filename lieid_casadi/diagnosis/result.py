@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+LEAST_STRETCHES = 20  # two in each of ten held-out parts
+
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
@@ -125,6 +127,12 @@ class Diagnosis:
             parts.append(
                 f"The search ended at its limit ({join_words(self.limits_reached)}); "
                 "further effects may be missing."
+            )
+        stretches = min((s.evidence.independent for s in self.steps), default=LEAST_STRETCHES)
+        if stretches < LEAST_STRETCHES:
+            parts.append(
+                f"The error is independent in only {stretches} stretches of the recordings, fewer "
+                "than two in each held-out part, so that the evidence is uncertain; record longer."
             )
         parts += [difference_sentence(each) for each in self.differing]
         return parts + [unexplained_sentence(part) for part in self.unexplained]

@@ -103,6 +103,14 @@ def with_steps(diagnosis, *steps):
     return replace(diagnosis, steps=steps)
 
 
+def test_few_independent_stretches_are_stated():
+    diagnosis = diagnosis_of(LOAD_FRICTION)
+    (step,) = diagnosis.steps
+    assert "record longer" not in diagnosis.sentence
+    few = replace(step, evidence=replace(step.evidence, independent=12))
+    assert "in only 12 stretches" in replace(diagnosis, steps=(few,)).sentence
+
+
 def test_steps_with_one_effect_are_one_finding_and_rivals_are_alternatives():
     diagnosis = diagnosis_of(LOAD_FRICTION)
     (step,) = diagnosis.steps
