@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,7 +40,8 @@ def run(args: argparse.Namespace) -> output.Outcome:
     command = RecordCommand.parse(args.record, load)
     given = inputs.recordings_of(args.recordings, args, source)
     stated = args.effects is not None or args.motor_side
-    with output.progress("experiment") as report:
+    # a bar would hide the question
+    with output.progress("experiment") if args.yes else nullcontext(_silent) as report:
         result = experiment(
             inputs.model_for(args, robot, given) if stated else source, given,
             record=command, folder=args.output, most=args.most,
@@ -92,6 +94,10 @@ COMMANDS = (
         "-o DIR",
     ),
 )
+
+
+def _silent(stage: str, fraction: float) -> None:
+    """Show no progress."""
 
 
 def _confirmed(motion: PlannedMotion) -> bool:

@@ -127,14 +127,14 @@ def experiment(
         )
     given = listed(recordings)
     model = _model(source, given)
-    path = tempfile.mkdtemp(prefix="lieid-experiment-") if folder is None else folder
-    kept = ExperimentFolder.of(path, identity_of(model.robot, given, probe, seed))
     design = MotionDesign(
         model, source if isinstance(source, Fit) else None,
         default_limits(model.robot, margin=margin) if limits is None else tuple(limits),
         acceleration, margin, longest, rate, seed,
     )  # fmt: skip
-    design = replace(design, probe=kept.probe(lambda: design.probe_motion(probe, start_pose)))
+    design = replace(design, probe=design.probe_motion(probe, start_pose))
+    path = tempfile.mkdtemp(prefix="lieid-experiment-") if folder is None else folder
+    kept = ExperimentFolder.of(path, identity_of(model.robot, given, design.probe))
     loop = _Loop(source, given, design, kept, progress)
     loop.resume(load)
     while loop.result.stopped is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,6 +12,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import OutputError
 from lieid_casadi.excitation.trajectory import MotionSamples
@@ -32,7 +33,7 @@ class _State(msgspec.Struct):
 
 @dataclass(frozen=True)
 class ExperimentFolder:
-    """``experiment.json``, the probe, and ``round-N`` with what belongs to each recording.
+    """``experiment.json``, and ``round-N`` with what belongs to each recording.
 
     ``identity`` is what must be the same in a second call with the same folder.
     """
@@ -77,19 +78,6 @@ class ExperimentFolder:
         with atomic_binary(self.path / name) as file:
             file.write(text.encode(errors="backslashreplace"))
 
-    def probe(self, design: Callable[[], MotionSamples]) -> MotionSamples:
-        """Return the probe motion of an earlier call, or a new one."""
-        file = self.path / "probe.npz"
-        if not file.exists():
-            probe = design()
-            with atomic_binary(file) as written:
-                np.savez(written, t=probe.t, q=probe.q, dq=probe.dq, ddq=probe.ddq)
-        try:
-            with np.load(file) as arrays:
-                return MotionSamples(*(arrays[name] for name in ("t", "q", "dq", "ddq")))
-        except (OSError, ValueError, KeyError) as error:
-            raise OutputError(f"{file}: cannot be resumed: {error}") from None
-
     def _state(self) -> _State | None:
         file = self.path / STATE
         try:
@@ -100,15 +88,16 @@ class ExperimentFolder:
             raise OutputError(f"{file}: cannot be resumed: {error}") from None
 
 
-def identity_of(
-    robot: Robot, given: Sequence[Recording], probe: float, seed: int
-) -> dict[str, Any]:
+def identity_of(robot: Robot, given: Sequence[Recording], probe: MotionSamples) -> dict[str, Any]:
     """Return what must be the same when an experiment is resumed."""
-    numbers = [robot.link_parameters, robot.limit("velocity"), robot.limit("position_upper")]
     return {
         "robot": robot.name,
-        "parameters": hashlib.sha256(np.concatenate(numbers).tobytes()).hexdigest()[:16],
+        "parameters": _hash(robot.link_parameters),
         "given": [{"name": r.name, "sha256": r.source_hash} for r in given],
-        "probe": float(probe),
-        "seed": seed,
+        "probe": _hash(np.hstack([probe.t[:, None], probe.q])),
     }
+
+
+def _hash(values: Array) -> str:
+    """Return a hash of numbers that rounding does not change."""
+    return hashlib.sha256(np.round(values, 6).tobytes()).hexdigest()[:16]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -194,7 +195,7 @@ class MotionDesign:
         self, purpose: Purpose, number: int, fit: Fit, progress: Progress
     ) -> tuple[MotionSamples, str]:
         """Return runs of one joint at constant speeds, or an excitation of another seed."""
-        joints = {int(signal.lstrip("dqloatu")) - 1 for signal in purpose.signals if signal != "t"}
+        joints = {int(x) - 1 for signal in purpose.signals for x in re.findall(r"\d+$", signal)}
         if len(joints) == 1:
             (joint,) = joints
             speeds = np.array(SWEEP_SPEEDS) * self.range.velocity[joint]
@@ -278,11 +279,10 @@ def information_gain(fit: Fit, recordings: Sequence[Recording], motion: MotionSa
 
     def information(parts: Sequence[MotionSamples | Processed]) -> Array:
         """Gram matrix of the base regressor per sample, in units of the noise."""
-        grams = [
-            np.einsum("tjp,tjq,j->pq", y, y, fit.noise**-2.0)
-            for y in (compiled.base_regressor(p.q, p.dq, p.ddq) for p in parts)
-        ]
-        return np.asarray(sum(grams) / sum(len(p.q) for p in parts))
+        columns = [compiled.base_regressor(p.q, p.dq, p.ddq) for p in parts]
+        y = np.concatenate(columns) / fit.noise[:, None]
+        rows = y.reshape(-1, y.shape[2])
+        return np.asarray(rows.T @ rows / len(y))
 
     new = information([motion])
     scale = np.sqrt(np.outer(np.diag(new), np.diag(new)))

@@ -19,36 +19,28 @@ Stopped = Literal["all_named", "most", "not_separable", "record_failed"]
 
 @dataclass(frozen=True)
 class Round:
-    """One recording and what all recordings up to it showed.
+    """One recording, and what the diagnosis of all recordings up to it showed.
 
     Attributes
     ----------
     number : int
-        From 1; 0 for the recordings that were given.
-    purpose : Purpose or None
-        Of its motion; None for given recordings.
+        From 1; 0 for the recordings that were given, which have no purpose and no files.
     promise : str
         What the design predicted.
-    seconds : float
-        Of the motion; for given recordings of the recordings.
+    seconds, starts : float
+        Length of the motion, and when it starts in the recording, s.
     trajectory, recording : str or None
         Files, relative to the folder.
-    verdict : str
-        Of the diagnosis; empty before it.
     open : tuple of tuple of str
         Effects of each step that is not named, with those that would do as well.
-    named : tuple of str
-        Effects that are named.
-    sentences : tuple of str
-        Of the diagnosis.
     error, first_error, noise_floor : tuple of float
         Held-out RMS error in motion of the final and of the first model, and noise, N·m.
-    starts : float
-        Time at which the motion starts in the recording, s.
     unseen : tuple of float
-        RMS error in motion of the previous fit on this recording, N·m; empty in the first round.
+        RMS error in motion of the previous fit on this recording, N·m.
     warnings : tuple of str
         Doubts about the recording: premises, deviations from the trajectory, repeatability.
+    checked, unchecked : tuple of str
+        Limits that the motion was verified to keep, and limits that it was not.
     """
 
     number: int

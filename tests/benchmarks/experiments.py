@@ -1,6 +1,6 @@
 """Experiments on simulated arms with friction of others' formulas: what is named, and how soon.
 
-    python tests/benchmarks/experiments.py [--worlds 6] [--first 0] [--json FILE]
+    python tests/benchmarks/experiments.py [--worlds 6] [--first 0] [--arm two_link] [--json FILE]
 
 Each world is an arm (Pinocchio) with one hidden effect, written independently of the package:
 friction of Rhoban's servo models M2 to M6, LuGre, Maxwell slip, cogging, a spring, cubic viscosity,
@@ -167,11 +167,13 @@ def run(number, excitations):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--worlds", type=int, default=6, help=f"how many, up to {len(WORLDS)}")
-    parser.add_argument("--first", type=int, default=0, help="number of the first")
+    parser.add_argument("--first", type=int, default=0, help="number of the first, from 0")
+    parser.add_argument("--arm", choices=("two_link", "panda"), help="worlds of this arm alone")
     parser.add_argument("--json", help="file to write")
     args = parser.parse_args()
     rows, excitations = [], {}
-    for number in range(args.first, min(args.first + args.worlds, len(WORLDS))):
+    chosen = [k for k, (_, arm, _) in enumerate(WORLDS) if args.arm in (None, arm)]
+    for number in chosen[args.first : args.first + args.worlds]:
         rows.append(run(number, excitations))
         row = rows[-1]
         sys.stdout.write(

@@ -69,9 +69,7 @@ def test_folder_holds_every_round(done):
     assert content == json.loads(json.dumps(result.to_dict()))
     names = {path.name for path in (result.folder / "round-1").iterdir()}
     assert names == {"trajectory.csv", "recording.csv", "diagnosis.json", "fit.json"}
-    assert {path.name for path in result.folder.iterdir()} == {
-        "experiment.json", "probe.npz", "round-1"
-    }  # fmt: skip
+    assert {path.name for path in result.folder.iterdir()} == {"experiment.json", "round-1"}
     lines = (result.folder / content["rounds"][1]["trajectory"]).read_text().splitlines()
     assert f"# not checked: {motion.unchecked[-1]}" in lines
     fit = lieid.Fit.load(result.folder / "round-1" / "fit.json")
@@ -96,7 +94,7 @@ def test_a_second_call_resumes(done, given):
 
     again = lieid.experiment(ROBOT, given, record=record, folder=result.folder, **QUICK)
     assert again.to_dict() == result.to_dict()
-    with pytest.raises(OutputError, match="another seed"):
+    with pytest.raises(OutputError, match="another probe"):
         lieid.experiment(ROBOT, given, record=record, folder=result.folder, seed=3, **QUICK)
 
 

@@ -1,5 +1,6 @@
 """``lieid experiment``: files, exit statuses, one line on stderr."""
 
+import io
 import json
 import sys
 from pathlib import Path
@@ -45,6 +46,21 @@ def test_a_failed_command_has_status_3_and_keeps_the_round(words, tmp_path, caps
     assert (tmp_path / "out" / "round-1" / "trajectory.csv").exists()
     state = json.loads((tmp_path / "out" / "experiment.json").read_text())
     assert state["stopped"] == "record_failed"
+
+
+def test_a_motion_is_shown_before_it_is_run(words, tmp_path, capsys, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stdin", Terminal("n\n"))
+    assert main([*words, "--record", RECORD]) == 3
+    shown = capsys.readouterr()
+    assert "The robot moves for 13 s along" in shown.out
+    assert "Not checked: " in shown.out
+    assert "Run it on the robot?" in shown.out
+    assert "not confirmed" in shown.err
+    assert not (tmp_path / "out" / "round-1" / "recording.csv").exists()
 
 
 @pytest.mark.parametrize(
