@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import compare
+from lieid_casadi.diagnosis.evidence import Slot, solved
 from lieid_casadi.diagnosis.folds import redundancy
 from lieid_casadi.diagnosis.gates import reason_against
-from lieid_casadi.diagnosis.nested import Slot, solved
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rivals import represented

@@ -6,7 +6,7 @@ The method, for missing effects (`missing`):
 2. Evaluate every effect of the library on every joint on the rows of the fit (`rows`), and find the
    path of effects that together explain most (`path`), on all rows and on the rows outside each of
    ten held-out stretches of time (`folds`, `search`).
-3. Add the effects that lower the error of stretches which their choice did not see (`nested`), if
+3. Add the effects that lower the error of stretches which their choice did not see (`evidence`), if
    their values are plausible (`gates`); smooth functions where no effect of the library does.
 4. Search again beside them; then fit the model with all of them by the procedure of `identify`, and
    leave out what lowers no held-out error beside the others.

@@ -11,8 +11,8 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compared_segments
 from lieid_casadi.compiled import compile
+from lieid_casadi.diagnosis.evidence import Slot
 from lieid_casadi.diagnosis.gates import reason_against
-from lieid_casadi.diagnosis.nested import Slot
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rivals import represented

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.evidence import ALIKE, Slot, part_of, solved
 from lieid_casadi.diagnosis.gates import reason_against
-from lieid_casadi.diagnosis.nested import ALIKE, Slot, part_of, solved
 from lieid_casadi.diagnosis.search import SMOOTH, Round
 from lieid_casadi.diagnosis.step import Rival
 

@@ -12,9 +12,9 @@ from scipy.fft import next_fast_len
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import Columns
+from lieid_casadi.diagnosis.evidence import Slot, judge, solved
 from lieid_casadi.diagnosis.folds import Folds, folds_of
 from lieid_casadi.diagnosis.gates import reason_against
-from lieid_casadi.diagnosis.nested import Slot, judge, solved
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.diagnosis.candidates import Candidate
-from lieid_casadi.diagnosis.nested import Slot, solved
+from lieid_casadi.diagnosis.evidence import Slot, solved
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import rivals_of
 from lieid_casadi.diagnosis.search import SMOOTH, Round

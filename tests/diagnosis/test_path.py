@@ -5,8 +5,8 @@ import pytest
 
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import assemble
+from lieid_casadi.diagnosis.evidence import HeldOut, judge
 from lieid_casadi.diagnosis.folds import Folds
-from lieid_casadi.diagnosis.nested import HeldOut, judge
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
 from lieid_casadi.effects import Placement, make
 
