@@ -171,19 +171,14 @@ def scatter(ax, x, y, sign):
 
 
 def page(kind, joint, trial):
-    """Return the page of one effect as Markdown."""
-    lines = [
-        f"# {kind.name}",
-        "",
-        *docstring(kind),
-        "",
-        "| effect | term | option |",
-        "| --- | --- | --- |",
-    ]
+    """Return the page of one effect as Markdown; the picture leads."""
+    lines = [f"# {kind.name}", "", f"<p class='formula'>{formula_html(kind().formula)}</p>", ""]
+    lines += [*docstring(kind), "", *trial_section(kind, joint, trial)]
+    lines += ["## Terms", "", "| effect | term | option |", "| --- | --- | --- |"]
     for each in registered(kind):
         meaning = kind.options.get(each.option, "none")
         lines.append(f"| `{each.label}` | {rendered(each.formula)} | {cell(meaning)} |")
-    lines += ["", *parameters(kind), *facts(kind()), *trial_section(kind, joint, trial)]
+    lines += ["", *parameters(kind), *facts(kind())]
     lines += ["## Use", "", *use(kind()), ""]
     return "\n".join(lines)
 
