@@ -32,7 +32,7 @@ from lieid_casadi.workbench.plots import (
     TorquePlot,
 )
 from lieid_casadi.workbench.premises import PremisesView
-from lieid_casadi.workbench.workbench import SOON, Workbench
+from lieid_casadi.workbench.workbench import SOON, Work, Workbench
 
 EXPORTS = {
     "report": "Report (HTML)",
@@ -101,6 +101,7 @@ class Toolbar(View):
             with ui.column().classes("gap-0 progress") as self._progress:
                 self._stage = text("", "small muted ellipsis w-full", "progress")
                 self._bar = ui.linear_progress(show_value=False, size="6px")
+            self._timer = ui.timer(SOON, self._show_progress, active=False)
             button("Copy as command", "copy-command", CommandsDialog(workbench).show, outline)
             self._save_fit = button("Save fit", "save-fit", lambda: self._save("fit"), outline)
             export = ui.dropdown_button("Export", auto_close=True)
@@ -121,10 +122,8 @@ class Toolbar(View):
             both = zip(opened.recordings, session.inputs.recordings, strict=True)
             names = [f"{r.name} ({kinds[given.role]})" for r, given in both]
             set_text(self._what, f"{opened.robot}: {', '.join(names) or 'no recordings'}")
-        searching, fitting = workbench.searching, workbench.fitting
-        activity = searching or workbench.saving
-        if fitting is not None and fitting.seconds >= SOON:
-            activity = fitting
+        searching = workbench.searching
+        activity = self._show_progress()
         changed = session.inputs.mode == "changed"
         self._find.text = "Find what has changed" if changed else "Find what is missing"
         self._undo.set_enabled(session.can_undo)
@@ -133,11 +132,20 @@ class Toolbar(View):
         self._find.set_enabled(session.step is not None)
         self._stop.set_visibility(activity is not None)
         self._progress.set_visibility(activity is not None)
+        self._timer.active = activity is not None
+        self._save_fit.set_enabled(workbench.saving is None)
+        self._spinner.set_visibility(workbench.computing)
+
+    def _show_progress(self) -> Work | None:
+        """Show the stage of long work and the time that is left, and return the work."""
+        workbench, fitting = self.workbench, self.workbench.fitting
+        activity = workbench.searching or workbench.saving
+        if fitting is not None and fitting.seconds >= SOON:
+            activity = fitting
         if activity is not None:
             set_text(self._stage, activity.text)
             self._bar.value = activity.fraction
-        self._save_fit.set_enabled(workbench.saving is None)
-        self._spinner.set_visibility(workbench.computing)
+        return activity
 
     def _step(self, name: str, by: int) -> ui.button:
         workbench = self.workbench
