@@ -70,8 +70,11 @@ def main():
         ("torque_gravity_compensated", (ROBOT, replace(run, tau=run.tau - gravity))),
         ("time_offset: 40 ms", (ROBOT, replace(run, tau=shifted(run.t, run.tau, -0.04)))),
         ("velocity_signal: 0.2 s", (ROBOT, replace(run, dq=lagged))),
+        ("position_unit: degrees", (ROBOT, replace(run, q=np.rad2deg(run.q)))),
+        ("torque_unit: amperes", (ROBOT, replace(run, tau=run.tau / 11.0))),
+        ("robot_mismatch: an arm on a rail", (load_arm("rail"), run)),
     ]
-    figure, axes = plt.subplots(4, 3, figsize=(10.0, 8.0), sharex=True, layout="constrained")
+    figure, axes = plt.subplots(5, 3, figsize=(10.0, 9.6), sharex=True, layout="constrained")
     for axis, (title, (robot, given)) in zip(axes.flat, cases, strict=True):
         t, error = residual(robot, given, 2, measured=title.startswith("velocity"))
         axis.plot(t, error, color="C3", linewidth=0.9)
