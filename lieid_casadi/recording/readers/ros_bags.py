@@ -6,7 +6,6 @@ import bz2
 import struct
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from functools import cache
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
@@ -28,26 +27,7 @@ from lieid_casadi.recording.readers.registry import (
 
 MESSAGE = "sensor_msgs/msg/JointState"
 EXPECTED = "a bag that can be read"
-
-
-def read_bag(file: Path, options: ReadOptions) -> Measurement:
-    """Read position, velocity and effort of one JointState topic.
-
-    Time is that of the messages' headers (of their arrival where headers are unstamped),
-    from 0 at the first message. Messages with none of the joints, such as a gripper's, are
-    ignored.
-    """
-    rows = _JointRows(options.joint_names)
-    for message in _messages(file, options):
-        rows.add(file, message)
-    return rows.measurement(file, options.n)
-
-
-def _is_bag(folder: Path) -> bool:
-    return (folder / "metadata.yaml").is_file()
-
-
-FORMAT = RecordingFormat(suffixes=(".mcap", ".bag", ".db3"), read=read_bag, folder=_is_bag)
+SIGNALS = {"position": "q", "velocity": "dq", "effort": "tau"}
 
 
 class _JointState(NamedTuple):
@@ -59,73 +39,64 @@ class _JointState(NamedTuple):
     values: dict[str, Array]
 
 
-@dataclass
-class _JointRows:
-    """Rows of the recording, collected from the messages."""
+def read_bag(file: Path, options: ReadOptions) -> Measurement:
+    """Read position, velocity and effort of one JointState topic.
 
-    names: tuple[str, ...] | None
-    others: tuple[str, ...] = ()  # of a message with none of the joints
-    times: list[tuple[int, int]] = field(default_factory=list)
-    rows: dict[str, list[Array]] = field(
-        default_factory=lambda: {"position": [], "velocity": [], "effort": []}
-    )
-
-    def add(self, file: Path, message: _JointState) -> None:
-        """Append a message, its joints in the order of the names."""
-        if self.names is None:
-            self.names = message.names
-        place = {name: index for index, name in enumerate(message.names)}
-        missing = [name for name in self.names if name not in place]
-        if len(missing) == len(self.names):
-            self.others = message.names
-            return
-        if missing:
+    Time is that of the messages' headers (of their arrival where headers are unstamped),
+    from 0 at the first message. Messages with none of the joints, such as a gripper's, are
+    ignored.
+    """
+    wanted, others = options.joint_names, tuple[str, ...]()
+    messages, orders = list[_JointState](), list[list[int]]()
+    for message in _messages(file, options):
+        wanted = wanted or message.names
+        missing = [name for name in wanted if name not in message.names]
+        if len(missing) == len(wanted):
+            others = message.names
+        elif missing:
             raise RecordingError(
-                f"{file}: message {len(self.times) + 1} has no joint {shortened(missing[0])} "
-                f"(found {names_text(message.names)}), expected {names_text(self.names)}"
+                f"{file}: message {len(messages) + 1} has no joint {shortened(missing[0])} "
+                f"(found {names_text(message.names)}), expected {names_text(wanted)}"
             )
-        order = [place[name] for name in self.names]
-        for signal, rows in self.rows.items():
-            if message.values[signal].size == len(message.names):
-                rows.append(message.values[signal][order])
-        self.times.append((message.header_time, message.arrival_time))
-
-    def measurement(self, file: Path, n: int | None) -> Measurement:
-        """Return the rows as arrays."""
-        if not self.times or not self.names:
-            wanted = f" with the joints {names_text(self.names)}" if self.names else ""
-            found = f" (found {names_text(self.others)})" if self.others else ""
-            raise RecordingError(f"{file}: no JointState message{wanted}{found}, expected some")
-        if n is not None and n != len(self.names):
-            raise RecordingError(
-                f"{file}: found {len(self.names)} joints ({names_text(self.names)}), "
-                f"expected {n}: choose them by their names"
-            )
-        signals: dict[str, Array | None] = {}
-        for signal, target in (("position", "q"), ("velocity", "dq"), ("effort", "tau")):
-            rows = self.rows[signal]
-            if rows and len(rows) != len(self.times):
-                raise RecordingError(
-                    f"{file}: {len(self.times) - len(rows)} of {len(self.times)} messages "
-                    f"lack {signal}, expected it in all or none"
-                )
-            signals[target] = np.array(rows) if rows else None
-        position = signals.pop("q")
-        if position is None:
-            raise RecordingError(f"{file}: no positions in the JointState messages")
-        return Measurement(
-            t=self._seconds(),
-            q=position,
-            dq=signals["dq"],
-            tau=signals["tau"],
-            name=file.name,
-            source_hash=hash_of_file(file),
+        else:
+            messages.append(message)
+            orders.append([message.names.index(name) for name in wanted])
+    if not messages or not wanted:
+        joints = f" with the joints {names_text(wanted)}" if wanted else ""
+        found = f" (found {names_text(others)})" if others else ""
+        raise RecordingError(f"{file}: no JointState message{joints}{found}, expected some")
+    if options.n is not None and options.n != len(wanted):
+        raise RecordingError(
+            f"{file}: found {len(wanted)} joints ({names_text(wanted)}), "
+            f"expected {options.n}: choose them by their names"
         )
+    signals: dict[str, Any] = {}
+    for name, field in SIGNALS.items():
+        rows = [
+            message.values[name][order]
+            for message, order in zip(messages, orders, strict=True)
+            if message.values[name].size == len(message.names)
+        ]
+        if rows and len(rows) != len(messages):
+            raise RecordingError(
+                f"{file}: {len(messages) - len(rows)} of {len(messages)} messages "
+                f"lack {name}, expected it in all or none"
+            )
+        if rows:
+            signals[field] = np.array(rows)
+    if "q" not in signals:
+        raise RecordingError(f"{file}: no positions in the JointState messages")
+    stamped = all(message.header_time for message in messages)
+    times = [m.header_time if stamped else m.arrival_time for m in messages]
+    t = np.array([(time - times[0]) * 1e-9 for time in times])
+    return Measurement(t=t, name=file.name, source_hash=hash_of_file(file), **signals)
 
-    def _seconds(self) -> Array:
-        stamped = all(header for header, _ in self.times)
-        nanoseconds = [header if stamped else arrival for header, arrival in self.times]
-        return np.array([(time - nanoseconds[0]) * 1e-9 for time in nanoseconds])
+
+def _is_bag(folder: Path) -> bool:
+    return (folder / "metadata.yaml").is_file()
+
+
+FORMAT = RecordingFormat(suffixes=(".mcap", ".bag", ".db3"), read=read_bag, folder=_is_bag)
 
 
 def _messages(file: Path, options: ReadOptions) -> Iterator[_JointState]:
@@ -160,10 +131,7 @@ def _joint_state(arrival: int, message: Any) -> _JointState:
     """Return the fields of a message; the definition in the bag may lack any of them."""
     stamp = message.header.stamp
     names = tuple(str(name) for name in message.name)
-    values = {
-        signal: np.asarray(getattr(message, signal), dtype=np.float64)
-        for signal in ("position", "velocity", "effort")
-    }
+    values = {name: np.asarray(getattr(message, name), dtype=np.float64) for name in SIGNALS}
     return _JointState(
         int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec), int(arrival), names, values
     )
