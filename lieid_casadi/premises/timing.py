@@ -31,6 +31,8 @@ CONSTANTS = np.geomspace(0.01, 1.0, 25)
 #: Relative error of a recorded velocity from which it is not the derivative of the position, and
 #: ratio to which a filter must lower it to be named.
 NOT_DERIVATIVE, BY_FILTER = 0.15, 0.5
+#: The same of slow motion, if a filter or delay of at least so many seconds explains it.
+NOT_DERIVATIVE_SLOW, LONG_LAG = 0.05, 0.05
 #: Relative size of a recorded velocity that counts as zero.
 ZERO_VELOCITY = 1e-3
 
@@ -115,9 +117,10 @@ def velocity(s: Samples) -> Alternative | None:
     moved = size > 1e-3 * size.max()
     error = np.sqrt(np.mean((s.measured - s.dq) ** 2, axis=0)) / np.maximum(size, 1e-12)
     wrong = moved & (error > NOT_DERIVATIVE)
-    if not wrong.any():
+    slow = not wrong.any()
+    joints = np.flatnonzero(moved & (error > NOT_DERIVATIVE_SLOW) if slow else wrong)
+    if not joints.size:
         return None
-    joints = np.flatnonzero(wrong)
     what, seconds = "is not the derivative of the position", 0.0
     ratio = np.sqrt(np.mean(s.measured**2, axis=0)) / np.maximum(size, 1e-12)
     if np.all(ratio[joints] < ZERO_VELOCITY):
@@ -127,6 +130,8 @@ def velocity(s: Samples) -> Alternative | None:
         if left < BY_FILTER * float(np.sqrt(np.mean(error[joints] ** 2))):
             seconds = constant
             what = f"is {kind} by {constant:.3g} s"
+    if slow and seconds < LONG_LAG:
+        return None
     names = ", ".join(str(j + 1) for j in joints[:3])
     return Alternative(
         "velocity_signal", tuple(joints[:3].tolist()), {"seconds": round(seconds, 4)},
