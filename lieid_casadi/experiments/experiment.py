@@ -180,8 +180,14 @@ class _Loop:
 
     @property
     def recordings(self) -> list[Recording]:
-        """All recordings."""
-        return [*self.given, *(recording for recording, _ in self.recorded)]
+        """The recordings that are diagnosed.
+
+        Given ones are left out as soon as an excitation, which shows more, was recorded: an effect
+        that they cannot show would count as a difference between the recordings.
+        """
+        own = [recording for recording, _ in self.recorded]
+        excited = any(p.kind == "excitation" for r in self.result.rounds if (p := r.purpose))
+        return own if excited else [*self.given, *own]
 
     @property
     def fit(self) -> Fit | None:

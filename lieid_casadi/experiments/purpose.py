@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lieid_casadi.diagnosis import Diagnosis
+from lieid_casadi.diagnosis.findings import difference_sentence
 
 Group = tuple[str, ...]
 Kind = Literal["excitation", "rivals", "range", "parameters"]
@@ -107,7 +108,7 @@ def undescribed(diagnosis: Diagnosis) -> dict[str, Group]:
 
 
 def remaining(diagnosis: Diagnosis) -> list[str]:
-    """Return a sentence for everything that is neither named nor explained."""
+    """Return a sentence for everything that is not named, explained or the same at all times."""
     parts = []
     for step in diagnosis.steps:
         group = [step.label, *(rival.label for rival in step.rivals)]
@@ -117,4 +118,5 @@ def remaining(diagnosis: Diagnosis) -> list[str]:
             parts.append(f"No data can separate {' from '.join(group)}.")
         elif step.status == "one_of":
             parts.append(f"{' or '.join(group)}: not separated.")
+    parts += [difference_sentence(each) for each in diagnosis.differing]
     return parts + [f"Joint {part.joint + 1}: {part.relation}." for part in diagnosis.unexplained]

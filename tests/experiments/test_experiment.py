@@ -9,7 +9,7 @@ from experiments.arms import QUICK, ROBOT, arm, measured, recorder, sines
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.diagnosis import Rival
+from lieid_casadi.diagnosis import Difference, Rival
 from lieid_casadi.errors import ExcitationError, OutputError, PremiseError, RecordError
 from lieid_casadi.experiments.motion import MotionDesign
 from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
@@ -166,6 +166,8 @@ def test_purposes(ambiguous):
     assert [p.kind for p in purposes(exact, [])] == ["excitation"]
     assert open_groups(exact) == [("stribeck:1", "armature:1")]
     assert remaining(exact) == ["No data can separate stribeck:1 from armature:1."]
+    apart = Difference("offset:1", "offset", (0,), "b", {"f_b": 1.0}, {"f_b": "N·m"}, True)
+    assert len(remaining(replace(ambiguous, steps=(), differing=(apart,)))) == 1
     shape = replace(step, label="smooth/dq:1", status="shape", depends_on=("dq1",), rivals=())
     unknown = replace(ambiguous, steps=(shape,))
     (wider,) = purposes(unknown, [excitation])
