@@ -5,11 +5,13 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+import pytest
 
 import lieid_casadi as lieid
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
 
+import mpc
 import mpc_acados
 import optimal_control
 
@@ -36,3 +38,14 @@ def test_a_model_of_acados_has_the_arms_dynamics():
     xdot = explicit(x, u, body)
     assert np.abs(implicit(x, xdot, u, body).full()).max() < 1e-10
     assert np.abs((xdot - explicit(x, u, np.zeros(10))).full()).max() > 0.1
+
+
+@pytest.mark.slow
+def test_model_predictive_control_arrives_with_the_identified_dynamics():
+    runs = mpc.main(["--seconds", "2.2"])
+    assert runs["identified"].error < 0.02
+    assert runs["nominal"].error > 3.0 * runs["identified"].error
+    for found in runs.values():
+        speed = np.gradient(found.q, found.t, axis=0)
+        assert np.all(np.abs(found.tau) <= PANDA.limit("torque"))
+        assert np.all(np.abs(speed) <= PANDA.limit("velocity"))
