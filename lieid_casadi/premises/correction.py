@@ -25,35 +25,17 @@ from lieid_casadi.robot import Robot
 class Correction:
     """A change of the signals, from those recorded to those of the model.
 
-    Attributes
-    ----------
-    position : (n, n)
-        Matrix from recorded to model joints: an order, signs, couplings. Torques follow from it
-        by its inverse transpose, so that power stays the same.
-    zero : (n,)
-        Added to the positions after that, rad or m.
-    torque : (n, n)
-        Applied to the torques before that: an order, signs or units of torque alone.
-    late : float
-        Time by which the torque is late, s.
-    time : float
-        Factor from the stamps to seconds.
-    gravity : (3,), optional
-        In the model's base frame, m/s², where it is not the robot's.
-    derive : bool
-        Whether velocities are derived from the positions, not taken from the recording.
-    options : tuple of str
-        The options that state it, such as ``--joint-order 1 3 2``.
+    Torques follow from the matrix of the positions by its inverse transpose: power stays the same.
     """
 
-    position: Array
-    zero: Array
-    torque: Array
-    late: float = 0.0
-    time: float = 1.0
-    gravity: Array | None = None
-    derive: bool = False
-    options: tuple[str, ...] = ()
+    position: Array  # (n, n) from recorded to model joints: an order, signs, couplings
+    zero: Array  # (n,) added to the positions after that, rad or m
+    torque: Array  # (n, n) applied to the torques before that: an order, signs, units
+    late: float = 0.0  # time by which the torque is late, s
+    time: float = 1.0  # factor from the stamps to seconds
+    gravity: Array | None = None  # (3,) in the model's base frame, where it is not the robot's
+    derive: bool = False  # velocities are derived from the positions
+    options: tuple[str, ...] = ()  # that state it, such as ``--joint-order 1 3 2``
 
     @classmethod
     def none(cls, n: int) -> Correction:
@@ -184,17 +166,9 @@ def gravity_of(rpy: tuple[float, float, float], size: float = 9.81) -> Array:
 
 
 def correction_of(options: Sequence[str], n: int) -> Correction:
-    """Return the correction of n joints that options state, in the order of `OPTIONS`.
+    """Return the correction of n joints that options such as ``--joint-order 1 3 2`` state.
 
-    Parameters
-    ----------
-    options
-        Texts such as ``--joint-order 1 3 2``.
-
-    Raises
-    ------
-    RecordingError
-        An unknown option, or other values than it takes.
+    They are applied in the order of `OPTIONS`.
     """
     given = {text.split()[0]: text.split()[1:] for text in options}
     unknown = [name for name in given if name not in OPTIONS]

@@ -24,21 +24,9 @@ def kind_of_symbols(value: Any) -> str:
 
 
 def geometry(value: Any, shape: tuple[int, ...], what: str) -> Geometry:
-    """Return numbers and SX expressions as an array of a given shape.
+    """Return numbers and SX expressions as an array; ``what`` is named in errors.
 
-    Parameters
-    ----------
-    value : array_like or ca.SX
-        Numbers, an SX matrix, or nested sequences of numbers and scalar SX expressions.
-    shape : tuple of int
-        Expected shape; a matrix of one column is accepted for a vector.
-    what : str
-        Named in errors, such as ``joint 'elbow': screw``.
-
-    Raises
-    ------
-    RobotError
-        Another shape, or entries of another kind.
+    A matrix of one column is accepted for a vector.
     """
     if isinstance(value, np.ndarray) and value.dtype == float and value.shape == shape:
         return value

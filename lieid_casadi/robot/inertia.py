@@ -34,17 +34,7 @@ def symmetric(six: ArrayLike) -> NDArray[np.float64]:
 def link_parameters(
     mass: float, com: ArrayLike, inertia_about_com: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return the ten link parameters (10,) of a body.
-
-    Parameters
-    ----------
-    mass : float
-        kg.
-    com : (3,)
-        Centre of mass in the link frame, m.
-    inertia_about_com : (3, 3)
-        About the centre of mass, in the axes of the link frame, kg·m².
-    """
+    """Return the ten link parameters (10,); the inertia (3, 3) has the axes of the link frame."""
     c = np.asarray(com, dtype=float)
     i = np.asarray(inertia_about_com, dtype=float) + mass * _steiner(c)
     return np.array([mass, *(mass * c), i[0, 0], i[0, 1], i[1, 1], i[0, 2], i[1, 2], i[2, 2]])

@@ -31,19 +31,7 @@ def load(text: str, origin: str) -> Any:
     """Return the plain data of a YAML text: dict, list, str, float, int, bool and None.
 
     Numbers are those of the YAML 1.2 core schema in decimal notation; everything else that is not
-    quoted is text, or null, true, false.
-
-    Parameters
-    ----------
-    text : str
-    origin : str
-        Named in errors, such as the file's path.
-
-    Raises
-    ------
-    RobotError
-        Not YAML, a tag, a key given twice, or more than the limits of this module allow; one line
-        that names the line and column.
+    quoted is text, or null, true, false. What is refused is named with line and column.
     """
     if len(text) > LONGEST:
         raise RobotError(f"{origin}: {len(text)} characters; expected at most {LONGEST}")
