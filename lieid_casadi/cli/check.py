@@ -70,13 +70,7 @@ def premises_of(
     recordings: Sequence[Recording],
     test: Sequence[Recording] = (),
 ) -> list[dict[str, Any]]:
-    """Check the premises and print what is wrong; return the findings for JSON.
-
-    Raises
-    ------
-    PremiseError
-        Robot and recordings do not belong together, and --despite-check is not given.
-    """
+    """Check the premises and print what is wrong; return the findings for JSON."""
     from lieid_casadi.premises import check
 
     if any(r.tau is None or r.command is not None for r in recordings):

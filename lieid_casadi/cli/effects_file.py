@@ -8,13 +8,7 @@ from lieid_casadi.errors import UsageError
 
 
 def load(path: str | None) -> None:
-    """Run the user's own Python file, which registers effects.
-
-    Raises
-    ------
-    UsageError
-        The file does not exist, or an exception was raised in it; the message names the line.
-    """
+    """Run the user's own Python file, which registers effects."""
     if path is None:
         return
     import runpy

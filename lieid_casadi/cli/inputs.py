@@ -154,13 +154,7 @@ def processing_of(args: argparse.Namespace) -> Processing:
 
 
 def drives_of(args: argparse.Namespace, robot: Robot) -> tuple[Drive, ...] | None:
-    """Return the control laws that the options state, else those of the robot.
-
-    Raises
-    ------
-    UsageError
-        Contradictory options, or not one number per joint.
-    """
+    """Return the control laws that the options state, else those of the robot."""
     from lieid_casadi.robot import Drive, servo_drive
 
     stiffness, damping, servo = (getattr(args, x, None) for x in ("stiffness", "damping", "servo"))

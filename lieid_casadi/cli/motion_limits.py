@@ -76,13 +76,7 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
 
 
 def arm_of(args: argparse.Namespace) -> tuple[Model | Fit, Robot]:
-    """Return the fit that ROBOT|FIT names, or the model of a robot with --effects; its robot.
-
-    Raises
-    ------
-    UsageError
-        An option that a fit does not take.
-    """
+    """Return the fit that ROBOT|FIT names, or the model of a robot with --effects; its robot."""
     if not inputs.is_fit(args):
         model = inputs.model_of(args)
         return model, model.robot

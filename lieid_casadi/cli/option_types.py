@@ -118,15 +118,7 @@ KINDS: dict[str, Callable[[str], Any]] = {
 
 
 def check_paths(args: argparse.Namespace) -> None:
-    """Refuse outputs that cannot be written or that are inputs, before any work is done.
-
-    Raises
-    ------
-    OutputError
-        A file or folder that cannot be written or may not be replaced.
-    UsageError
-        An output that is also an input or another output, or a picture of an unknown format.
-    """
+    """Refuse outputs that cannot be written or that are inputs, before any work is done."""
     from lieid_casadi.atomic_file import check_file
     from lieid_casadi.output_folder import check_folder
 

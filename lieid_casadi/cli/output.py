@@ -149,12 +149,7 @@ class Outcome:
     status: int = 0
 
     def finish(self, args: argparse.Namespace) -> int:
-        """Write all files, print, and return the exit status.
-
-        Raises
-        ------
-        OutputError
-        """
+        """Write all files, print, and return the exit status."""
         from lieid_casadi.atomic_file import atomic_binary
 
         contents = list(self._contents(args))

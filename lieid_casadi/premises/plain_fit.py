@@ -131,11 +131,6 @@ def samples_of(recordings: Sequence[Recording], *, most: int = 2400) -> Samples:
 
     Velocities are derivatives of the positions. Of long recordings at most ``most`` instants are
     used, in blocks of time at even distances.
-
-    Raises
-    ------
-    RecordingError
-        No segment is long enough.
     """
     bare = [replace(r, dq=None, ddq=None, command=None, temperature=None) for r in recordings]
     cutoff = float(np.clip(process(bare)[0].cutoff, LOWEST_CUTOFF, HIGHEST_CUTOFF))
