@@ -72,7 +72,7 @@ COMMANDS = (
             recordings [REC …]: input  recordings from which to start
             --record COMMAND required  command that runs {trajectory} (CSV) on the robot and writes
                 {recording} (CSV); split into arguments as by a shell, but run without one
-            -o/--output DIR required  folder of the experiment
+            -o/--output DIR: resumed required  folder of the experiment
             --most N: int = 5  recordings at most
             --yes  run every motion without a question
             --longest S: number = 20  length of a motion, s

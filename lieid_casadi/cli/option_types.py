@@ -61,6 +61,10 @@ class OutputFolder(str):
     """A folder that a command writes."""
 
 
+class ResumedFolder(OutputFolder):
+    """A folder in which a command goes on with what an earlier call began."""
+
+
 def _checked(
     convert: Callable[[str], Any], holds: Callable[[Any], bool], message: str
 ) -> Callable[[str], Any]:
@@ -102,6 +106,7 @@ KINDS: dict[str, Callable[[str], Any]] = {
     "output": OutputFile,
     "picture": PictureFile,
     "folder": OutputFolder,
+    "resumed": ResumedFolder,
     "int": int,
     "number": number,
     "height": height,
@@ -125,7 +130,9 @@ def check_paths(args: argparse.Namespace) -> None:
     values = _values(args)
     seen: set[str] = set()
     for output in (value for value in values if isinstance(value, (OutputFile, OutputFolder))):
-        if isinstance(output, OutputFolder):
+        if isinstance(output, ResumedFolder):
+            pass  # what it holds is checked when it is resumed
+        elif isinstance(output, OutputFolder):
             check_folder(output, force=args.force)
         else:
             check_file(output)

@@ -228,7 +228,7 @@ def test_every_path_of_every_command_is_checked():
                     assert action.type is kind, (command.prog, action.dest)
                     checked += 1
             if action.dest == "output":
-                assert action.type in (OutputFile, OutputFolder), command.prog
+                assert issubclass(action.type, (OutputFile, OutputFolder)), command.prog
             elif action.metavar in ("FILE", "DIR", "REC", "FIT"):
                 assert issubclass(action.type, (InputPath, OutputFile, OutputFolder))
     assert checked > 30

@@ -119,6 +119,7 @@ def test_what_is_not_recorded_is_kept_and_resumed(given, tmp_path):
     assert np.array_equal(motions[0].samples.q, motions[1].samples.q)
 
 
+@pytest.mark.slow
 def test_a_recording_of_another_unit_is_refused(given, tmp_path):
     record, _ = recorder(arm())
 
