@@ -105,6 +105,8 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
         owner = int(columns.owner[group])
         if owner in examined or _same_kind(mine, other) or len(examined) >= EXAMINED:
             continue
+        if other.recording is not None:
+            continue  # it is no effect of the arm, but a difference between the recordings
         if part_of(torque, found.span.outside(columns.stacked(group))) < ALIKE:
             continue
         estimate = values[columns.of_group(group)]

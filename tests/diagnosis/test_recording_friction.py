@@ -35,3 +35,20 @@ def test_friction_that_is_larger_in_one_recording_is_stated(effect):
     (value,) = found.parameters.values()
     assert value == pytest.approx(MORE[effect], rel=0.1)
     assert f"in second, {effect} on joint 1 (" in diagnosis.sentence
+
+
+def test_an_effect_in_one_recording_is_no_rival_of_an_effect_of_the_arm():
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    arm = arm.with_effects(plant.hidden_effect(arm, "stribeck", 0, strength=0.3))
+    t, train = np.arange(0.0, 16.0, 0.002), []
+    for seed, speed in ((1, 1.0), (2, 0.4)):  # nearly constant: other friction in one fits as well
+        rate = np.array([1.5, 2.1])
+        phase = rate * t[:, None] + seed
+        dq = speed * np.tanh(6.0 * np.sin(phase))
+        ddq = speed * 6.0 * rate * np.cos(phase) / np.cosh(6.0 * np.sin(phase)) ** 2
+        motion = (np.cumsum(dq, axis=0) * 0.002, dq, ddq)
+        sensors = plant.demo_sensors(ROBOT)
+        train.append(plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed))
+    (step,) = lieid.diagnose(MODEL, train).steps
+    assert step.label == "stribeck:1"
+    assert not any("recording" in rival.label for rival in step.rivals)
