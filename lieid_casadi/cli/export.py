@@ -45,8 +45,8 @@ COMMANDS = (
         (
             """
             fit FIT: input  fit to export
-            --to {c,urdf,mjcf,isaaclab,ur-friction} required  C99 code, URDF, MuJoCo model, Isaac
-                Lab's actuators, friction of UR's driver
+            --to {c,urdf,mjcf,isaaclab,ur-friction} required  C99 code, URDF, MuJoCo model,
+                actuators of Isaac Lab and mjlab, friction of UR's driver
             """,
             options.FOLDER,
             """

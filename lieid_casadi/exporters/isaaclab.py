@@ -1,4 +1,4 @@
-"""``lieid export FIT --to isaaclab``: the identified joints as Isaac Lab's implicit actuators."""
+"""``lieid export FIT --to isaaclab``: the identified joints as actuators of Isaac Lab and mjlab."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 
 from lieid_casadi.exporters.simulator_joints import (
+    LinearFriction,
     SimulatorJoint,
     beyond_linear_friction,
     file_name,
@@ -28,14 +29,26 @@ from isaaclab.actuators import ImplicitActuatorCfg
 ACTUATORS = {{
     "arm": ImplicitActuatorCfg(
 '''
+MJLAB_HEAD = '''"""Joints of {robot}, identified by lieid-casadi {version}: SI units.
+
+Body inertias and the damping of joints belong to the MuJoCo model (--to mjcf).
+
+{notes}"""
+
+from mjlab.actuator import {kinds}
+
+# for mjlab.entity.EntityArticulationInfoCfg(actuators=ACTUATORS)
+ACTUATORS = (
+'''
 EXPRESSED = {"armature", "damping", "friction"}
 
 
 def isaaclab_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
-    """Return ``ROBOT_isaaclab.py`` with an ``ImplicitActuatorCfg``, and notes on its use.
+    """Return ``ROBOT_isaaclab.py`` and ``ROBOT_mjlab.py``, and notes on their use.
 
+    The first has an ``ImplicitActuatorCfg`` of all joints, the second a built-in actuator of each.
     Viscous and dry friction are those of `linear_friction`; from Isaac Sim 5.0 on its fields are
-    efforts. Inertias belong to the URDF (``--to urdf``).
+    efforts. Inertias belong to the URDF or the MuJoCo model.
     """
     from lieid_casadi import __version__
 
@@ -71,11 +84,60 @@ def isaaclab_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
     names = [re.escape(joint.name) for joint in robot.joints]
     lines = [f"        joint_names_expr={names!r},"]
     lines += [f"        {name}={values!r}," for name, values in fields.items()]
-    shown = "\n".join(f"- {note}" for note in notes).replace("\\", "/").replace('"', "'")
-    title = allowed(robot.name).replace("\\", "/").replace('"', "'")
-    head = HEAD.format(robot=" ".join(title.split()), version=__version__, notes=shown)
+    title = " ".join(_in_docstring(allowed(robot.name)).split())
+    head = HEAD.format(robot=title, version=__version__, notes=_listed(notes))
     text = head + "\n".join(lines) + "\n    ),\n}\n"
-    return {f"{file_name(robot.name)}_isaaclab.py": text.encode()}, notes
+    of_mjlab = [
+        f"mjlab has no field for viscous friction, {own.damping:.4g} N·m·s/rad of joint {j + 1}: "
+        "it is the damping of the joint in the MuJoCo model"
+        for j, own in enumerate(friction)
+        if own.damping
+    ]
+    of_mjlab += [
+        f"joint {j + 1} states no torque limit, which a motor of mjlab needs: add effort_limit"
+        for j, joint in enumerate(robot.joints)
+        if joint.drive is None and not math.isfinite(joint.limits.torque)
+    ]
+    kinds, actuators = _mjlab_actuators(fit, friction)
+    of_motors = notes[2:] + of_mjlab
+    mjlab = MJLAB_HEAD.format(
+        robot=title, version=__version__, notes=_listed(of_motors), kinds=", ".join(kinds)
+    )
+    name = file_name(robot.name)
+    files = {f"{name}_isaaclab.py": text.encode()}
+    files[f"{name}_mjlab.py"] = (mjlab + "\n".join(actuators) + "\n)\n").encode()
+    return files, [*notes, *of_mjlab]
+
+
+def _in_docstring(text: str) -> str:
+    return text.replace("\\", "/").replace('"', "'")
+
+
+def _listed(notes: Sequence[str]) -> str:
+    return _in_docstring("\n".join(f"- {note}" for note in notes))
+
+
+def _mjlab_actuators(fit: Fit, friction: Sequence[LinearFriction]) -> tuple[list[str], list[str]]:
+    """Return the names of mjlab's classes that are used, and an actuator a line for each joint.
+
+    Joints with a drive law are position actuators, others motors.
+    """
+    kinds, lines = set[str](), []
+    joints = zip(fit.model.robot.joints, simulator_joints(fit), friction, strict=True)
+    for joint, numbers, own in joints:
+        stiffness, damping, limit = _drive_of(joint)
+        fields: dict[str, float] = {}
+        kind = "BuiltinMotorActuatorCfg"
+        if joint.drive is not None:
+            kind = "BuiltinPositionActuatorCfg"
+            fields = {"stiffness": stiffness, "damping": damping}
+        fields |= {"effort_limit": limit, "armature": numbers.armature or 0.0}
+        fields["frictionloss"] = own.loss
+        kinds.add(kind)
+        stated = {name: repr(float(x)) for name, x in fields.items() if math.isfinite(x)}
+        words = ", ".join(f"{name}={text}" for name, text in stated.items())
+        lines.append(f"    {kind}(target_names_expr=({re.escape(joint.name)!r},), {words}),")
+    return sorted(kinds), lines
 
 
 def _drive_of(joint: Joint) -> tuple[float, float, float]:

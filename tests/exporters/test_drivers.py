@@ -50,6 +50,31 @@ def test_isaaclab_states_what_it_approximates_and_drives(tmp_path, monkeypatch):
     assert arm["damping"] == {"shoulder": 2.0, "elbow": 2.0}
 
 
+@pytest.mark.parametrize("driven", [False, True])
+def test_mjlab_has_an_actuator_of_each_joint(tmp_path, monkeypatch, driven):
+    robot = lieid.robots.two_link()
+    if driven:
+        robot = robot.with_drives(lieid.Drive(stiffness=30.0, damping=2.0))
+    fit = made_fit(robot, "coulomb,viscous,armature")
+    made = lieid.export(fit, tmp_path / "out", to="isaaclab")
+    stub = types.ModuleType("mjlab.actuator")
+    for name in ("BuiltinMotorActuatorCfg", "BuiltinPositionActuatorCfg"):
+        setattr(stub, name, lambda name=name, **fields: {"kind": name, **fields})
+    monkeypatch.setitem(sys.modules, "mjlab", types.ModuleType("mjlab"))
+    monkeypatch.setitem(sys.modules, "mjlab.actuator", stub)
+    scope = {}
+    exec(compile(made.files[1].read_text(), "mjlab.py", "exec"), scope)
+    values = dict(zip([c.label for c in fit.model.columns], fit.effect_coefficients, strict=True))
+    for j, actuator in enumerate(scope["ACTUATORS"]):
+        assert actuator["target_names_expr"] == (("shoulder", "elbow")[j],)
+        assert actuator["armature"] == values[f"armature.I_a:{j + 1}"]
+        assert actuator["frictionloss"] == pytest.approx(values[f"coulomb.f_c:{j + 1}"], rel=1e-9)
+        assert actuator["effort_limit"] == robot.limit("torque")[j]
+        assert ("Position" in actuator["kind"]) == driven
+        assert actuator.get("stiffness") == (30.0 if driven else None)
+    assert sum("mjlab has no field for viscous friction" in note for note in made.notes) == 2
+
+
 def six_joints(viscous, coulomb):
     fit = made_fit(random_arm(np.random.default_rng(4), 6), "coulomb,viscous")
     parameters = fit.parameters.copy()
