@@ -37,6 +37,7 @@ def simulate_batch(
     inputs: ArrayLike,
     *,
     interval: float,
+    history: int = 0,
     under: Input | None = None,
     temperature: ArrayLike | None = None,
     threads: int | None = None,
@@ -58,6 +59,8 @@ def simulate_batch(
         commands that the fit states contain half of an interval.
     interval : float
         s; it is divided into steps of at most 1 ms.
+    history : int
+        Number of the inputs that precede the start, which delayed commands need.
     under : {"command", "torque"}, optional
         What the inputs are; commands if the robot has drives.
     temperature : (n,), optional
@@ -103,6 +106,7 @@ def simulate_batch(
         interval / steps,
         steps,
         np.asarray(mean if temperature is None else temperature, dtype=float),
+        history,
     )
     numbers, delays = (np.broadcast_to(x, (windows, x.shape[1])) for x in (numbers, delays))
     late = np.maximum(delays - 0.5 * interval, 0.0)
@@ -169,6 +173,7 @@ class _Batch:
     h: float  # s
     substeps: int  # within an interval
     temperature: Array  # (n,) °C
+    history: int  # inputs that precede the start
 
     def run(self, q: Array, dq: Array, inputs: Array, numbers: Array, late: Array) -> Array:
         """Return the states (T + 1, W, S) of motions from q, dq (W, n) on.
@@ -179,7 +184,8 @@ class _Batch:
         links = [play.joint for play in plays_of(self.fit)]
         x, dx = np.hstack([q, q[:, links]]), np.hstack([dq, dq[:, links]])
         state = np.ascontiguousarray(initial_state(self.fit, x, dx).T)
-        path = np.empty((len(inputs) + 1, *state.shape))
+        intervals = len(inputs) - self.history
+        path = np.empty((intervals + 1, *state.shape))
         path[0] = state
         values = {
             "state": state,
@@ -191,10 +197,13 @@ class _Batch:
         }
         bound, after = self.step.bind(values), np.empty((*state.shape, 1))
         at = np.arange(windows)[:, None], np.arange(n)
-        for k in range(len(inputs) * self.substeps):
-            middle = (k + 0.5) * self.h - late
-            rows = np.floor(middle / (self.h * self.substeps) + 1e-9).astype(int)
-            values["input"][:] = inputs[np.maximum(rows, 0), *at]
+        for k in range(intervals * self.substeps):
+            begin = (k - late / self.h) / self.substeps  # of the step, in intervals
+            row = np.floor(begin + 1e-9)
+            part = np.minimum((row + 1.0 - begin) * self.substeps, 1.0)  # before the next input
+            own = np.maximum(row.astype(int) + self.history, 0)
+            after_it = np.minimum(own + 1, len(inputs) - 1)
+            values["input"][:] = part * inputs[own, *at] + (1.0 - part) * inputs[after_it, *at]
             values["time"][:] = k * self.h
             bound.dense(after, 1)
             state[:] = after[:, :, 0]

@@ -46,6 +46,23 @@ def test_without_a_compiler_the_motion_is_the_same(monkeypatch):
     np.testing.assert_allclose(compiled, machine, rtol=0, atol=1e-12)
 
 
+def test_delays_between_two_steps_act_in_proportion():
+    """The input of a step is the mean of the commands that act in it: no delay is rounded."""
+    fit = fit_of(f"{EFFECTS},command_delay")
+    moved = inputs_of(40, 1)
+    fits = [
+        replace(fit, parameters=np.append(fit.parameters[:-2], [0.001 + late] * 2))
+        for late in (0.0042, 0.0045, 0.0048)
+    ]
+    q = np.full((3, 2), 0.3)
+    inputs = np.repeat(moved, 3, axis=1)
+    path, _ = simulate_batch(fits, q, 0 * q, inputs, interval=0.002, history=10)
+    assert len(path) == 31
+    first, middle, last = path[-1]
+    assert np.abs(last - first).min() > 1e-6
+    np.testing.assert_allclose(middle - first, 0.5 * (last - first), rtol=0.06)
+
+
 def test_every_motion_may_have_an_arm_of_its_own():
     fit, inputs = fit_of(EFFECTS), inputs_of(30, 130)
     heavy = replace(fit, parameters=fit.parameters * 1.2)
