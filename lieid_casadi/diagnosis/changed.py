@@ -59,7 +59,7 @@ def diagnose_changed(
     rises = np.array([each.motion_ratio for each in noise])
     first = _misfit(rows, expected, [])
     raised = first > options.least_misfit * rises
-    found = search(rows, options, prior=prior_rows(fit.covariance), spread=expected, joints=raised)
+    found = search(rows, options, prior=prior_rows(fit.covariance), noise=noise, joints=raised)
     changes, rejected = _changes(found, raised, options.least_misfit * rises, options)
     report("describe the changes", 0.8)
     after, beyond = _errors(found, changes)

@@ -21,7 +21,7 @@ from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import smooth_candidates
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.smooth import Smooth
-from lieid_casadi.identification.uncertainty.noise_model import noise_of
+from lieid_casadi.identification.uncertainty.noise_model import Noise, noise_of
 
 SMOOTH = Smooth.name
 REFINEMENT = (1 / 3, 2 / 3)  # positions between two grid points
@@ -66,7 +66,7 @@ def search(
     *,
     refused: Collection[str] = (),
     prior: Array | None = None,
-    spread: Array | None = None,
+    noise: Sequence[Noise] | None = None,
     joints: NDArray[np.bool_] | None = None,
 ) -> Round:
     """Return the effects of a path on all rows, judged on held-out parts.
@@ -79,20 +79,20 @@ def search(
         Labels of candidates that are left out.
     prior : (k, p), optional
         Rows that state the uncertainty of a model that is kept.
-    spread : (n,), optional
-        Standard deviation of the noise, N·m; by default that of the residual beside the path.
+    noise : sequence of Noise, optional
+        Of each joint; by default that of the residual beside the path.
     joints : (n,) bool, optional
         Joints on which effects are searched for; by default all.
     """
     wanted = [c for c in rows.columns.owners if _is_wanted(c, refused, joints)]
     rows = rows.with_candidates(wanted)
-    scale = rows.spread() if spread is None else spread
+    scale = rows.spread() if noise is None else np.array([each.spread for each in noise])
     nothing = np.zeros((0, sum(run.count for run in rows.runs)), dtype=bool)
     whole: tuple[int, ...] = ()
     paths = Paths(*_weighted(rows, scale, prior), nothing)
     for _ in range(options.refinements + 1):
         whole = forward(paths, -1, _rules(paths.columns, rows, options))
-        if spread is None:
+        if noise is None:
             scale = rows.spread(_residual_beside(paths, whole, rows, scale))
         refined = _refined(paths, whole, rows)
         rows = rows.with_candidates(refined)
@@ -106,10 +106,11 @@ def search(
     if prior is None:
         rows = _with_single_recordings(rows)
     paths = Paths(*_weighted(rows, scale, prior), nothing)
-    rules = _rules(paths.columns, rows, options)
-    if prior is None:
-        rest = _residual_beside(paths, forward(paths, -1, rules), rows, scale)
-        rules = _rules(paths.columns, rows, options, _dependence(paths.columns, rows, rest))
+    if noise is None:
+        first = forward(paths, -1, _rules(paths.columns, rows, options))
+        rest = _residual_beside(paths, first, rows, scale)
+        noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
+    rules = _rules(paths.columns, rows, options, _dependence(paths.columns, noise))
     whole = forward(paths, -1, rules)
     folds = folds_of(rows, _residual_beside(paths, whole, rows, scale), options.folds)
     paths = Paths(paths.span, paths.columns, folds.out)
@@ -189,23 +190,23 @@ def _weighted(rows: Rows, spread: Array, prior: Array | None) -> tuple[Span, Col
     return Span.of(model, residual, prior), rows.columns.weighted(weights)
 
 
-def _dependence(columns: Columns, rows: Rows, residual: Sequence[Array]) -> Array:
-    """Return how much more each group gains from noise as correlated as a residual (G,).
+def _dependence(columns: Columns, noise: Sequence[Noise]) -> Array:
+    """Return how much more each group gains from correlated noise (G,).
 
-    That is the variance of a column's product with such noise, relative to white noise of the same
+    That is the variance of a column's product with the noise, relative to white noise of the same
     size, at least 1. A column of slow changes gains more from slow noise than one of fast changes.
     """
     power, coloured = np.zeros((2, columns.count))
-    for own, rest, run in zip(columns.joints, residual, rows.runs, strict=True):
+    for own, each in zip(columns.joints, noise, strict=True):
         if not len(own.matrix):
             continue
-        length = next_fast_len(2 * len(rest), real=True)
-        density = np.abs(np.fft.rfft(noise_of(rest, run).filter, length)) ** -2
+        length = next_fast_len(2 * len(own.matrix), real=True)
+        density = np.abs(np.fft.rfft(each.filter, length)) ** -2
         spectrum = np.abs(np.fft.rfft(own.matrix, length, axis=0)) ** 2
         power[own.columns] += spectrum.sum(axis=0)
         coloured[own.columns] += density @ spectrum / density.mean()
-    each = np.divide(coloured, power, out=np.ones(columns.count), where=power > 0.0)
-    return np.maximum(np.add.reduceat(each, columns.start) / columns.size, 1.0)
+    ratio = np.divide(coloured, power, out=np.ones(columns.count), where=power > 0.0)
+    return np.maximum(np.add.reduceat(ratio, columns.start) / columns.size, 1.0)
 
 
 def _rules(
