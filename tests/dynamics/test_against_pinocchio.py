@@ -173,31 +173,3 @@ def test_wrench_exerted_by_the_tool(arm):
         "kij,i->kj", arm.compiled.jacobian(arm.states[0]), wrench
     )
     assert_close(with_jacobian, expected)
-
-
-def test_power_is_the_rate_of_energy(arm):
-    """d(T + U)/dt = τᵀq̇ along a motion, the energies by Pinocchio, the rate by differences."""
-    q0, amplitude, _ = (values[0] for values in arm.states)
-    frequency = np.linspace(1.0, 2.0, arm.robot.n)
-    step, data = 1e-3, arm.pinocchio.createData()
-
-    def motion(t):
-        angle = frequency * t
-        rate = amplitude * np.cos(angle)
-        return (
-            q0 + amplitude / frequency * np.sin(angle),
-            rate,
-            -amplitude * frequency * np.sin(angle),
-        )
-
-    def energy(t):
-        q, dq, _ = motion(t)
-        kinetic = pin.computeKineticEnergy(arm.pinocchio, data, q, dq)
-        return kinetic + pin.computePotentialEnergy(arm.pinocchio, data, q)
-
-    times = np.linspace(0.1, 3.0, 15)
-    weights = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))
-    rate = [sum(w * energy(t + k * step) for k, w in weights) / step for t in times]
-    q, dq, ddq = (np.array(values) for values in zip(*map(motion, times), strict=True))
-    torque = arm.compiled.inverse_dynamics(q, dq, ddq, arm.robot.link_parameters)
-    assert_close((torque * dq).sum(axis=1), rate, 1e-8)

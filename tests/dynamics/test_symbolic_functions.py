@@ -73,21 +73,6 @@ def symmetric(upper):
     return np.triu(upper) + np.triu(upper, 1).T
 
 
-def test_kinematics_of_the_tool(arm, functions):
-    model, data = arm.pinocchio, arm.pinocchio.createData()
-    for q, _, _ in arm.moments[:3]:
-        pin.framesForwardKinematics(model, data, q)
-        assert_close(functions.forward_kinematics(q), data.oMf[arm.tool].homogeneous)
-        jacobian = pin.computeFrameJacobian(model, data, q, arm.tool, pin.LOCAL_WORLD_ALIGNED)
-        assert_close(functions.jacobian(q), np.vstack([jacobian[3:], jacobian[:3]]))
-
-
-def test_regressor(arm, functions):
-    for q, dq, ddq in arm.moments[:3]:
-        tau = pin.rnea(arm.pinocchio, arm.pinocchio.createData(), q, dq, ddq)
-        assert_close(functions.regressor(q, dq, ddq).full() @ arm.robot.link_parameters, tau, 1e-11)
-
-
 def test_energy(arm, functions):
     """The power of the torque is the rate of the energy, by central differences."""
     model, data = arm.pinocchio, arm.pinocchio.createData()
