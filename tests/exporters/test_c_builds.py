@@ -1,11 +1,14 @@
 """Exported C builds without warnings, and its self-test passes and finds errors."""
 
+import ctypes
+import dataclasses
 import re
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
-from exporters.c_arms import ARMS, BUILDS, WARNINGS, library, made_fit, run
+from exporters.c_arms import ARMS, BUILDS, WARNINGS, constants, library, made_fit, run
 from real_arms import TX40, UR10E, needs
 
 import lieid_casadi as lieid
@@ -177,3 +180,28 @@ def test_real_arms_geometry_with_its_rounding(urdf, tmp_path):
     export(made_fit(robot, "coulomb,viscous,offset"), tmp_path / "arm", to="c")
     run(["gcc", "-std=c99", "-O1", *files(tmp_path), "-lm", "-o", "t"], tmp_path / "arm")
     run([str(tmp_path / "arm" / "t")], tmp_path / "arm")
+
+
+def test_names_and_limits_of_the_joints(tmp_path):
+    """Also of a name that is no literal of C, and where the robot states no limit."""
+    robot, name = lieid.robots.two_link(), 'a"\\é??/\n'
+    joints = [
+        dataclasses.replace(
+            robot.joints[0],
+            name=name,
+            limits=dataclasses.replace(
+                robot.joints[0].limits, torque=np.nan, position_lower=np.nan, position_upper=np.nan
+            ),
+        ),
+        robot.joints[1],
+    ]
+    fit = made_fit(dataclasses.replace(robot, joints=tuple(joints)), "viscous")
+    export(fit, tmp_path / "arm", to="c")
+    loaded = library(tmp_path / "arm")
+    size = len(name.encode()) + 1
+    names = (ctypes.c_char * (2 * size)).in_dll(loaded, "arm_joint_names").raw
+    assert [names[k : k + size].rstrip(b"\0").decode() for k in (0, size)] == [name, "elbow"]
+    assert constants(loaded, "arm_torque_limit", 2).tolist() == [np.inf, 15.0]
+    assert constants(loaded, "arm_position_lower", 2).tolist() == [-np.inf, -2.5]
+    assert constants(loaded, "arm_position_upper", 2).tolist() == [np.inf, 2.5]
+    assert constants(loaded, "arm_velocity_limit", 2).tolist() == [3.0, 3.0]
