@@ -37,8 +37,8 @@ SHOWS_STATED, LEAST_UNEXPLAINED = 0.4, 0.3
 LEAST_SCORE = -0.6
 #: The same for alternatives without free values, which are then a doubt at most.
 SHOWS_DISCRETE, LEAST_DISCRETE = 0.88, -0.15
-#: The same where all errors are small, as of slow motion: also a doubt at most.
-SHOWS_OF_SMALL, LEAST_OF_SMALL = 0.6, -2.0
+#: The same for delays of slow motion, whose errors are small: also a doubt at most.
+SHOWS_OF_SLOW, LEAST_OF_SLOW = 0.6, -2.0
 #: Least error without the correction on one of these joints, as part of its torque: less is the
 #: size of effects of drives, such as friction under load.
 LEAST_BEFORE = 0.04
@@ -254,8 +254,8 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
         # a sign has two values only: less suffices for a doubt
         sign = alternative.discrete and score <= LEAST_DISCRETE and ratios.min() < SHOWS_DISCRETE
         doubt = sign and not np.any(after.driven < before.driven)
-        small_errors = score <= LEAST_OF_SMALL and ratios.min() < SHOWS_OF_SMALL
-        if not doubt and not (small_errors and not alternative.small):
+        slow = score <= LEAST_OF_SLOW and ratios.min() < SHOWS_OF_SLOW and not alternative.small
+        if not doubt and not (slow and alternative.premise == "time_offset"):
             return None
         clear = False
     by_stated = _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1])) and (shown_stated or not clear)
