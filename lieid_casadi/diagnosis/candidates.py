@@ -110,9 +110,9 @@ class Candidate:
 
     @property
     def parameters(self) -> int:
-        """Number of parameters that it adds to a model."""
+        """Number of parameters that it adds to a model; the choice of one recording is one, too."""
         fitted = [shape for shape in self.effect.shapes if shape.data is None]
-        return len(self.effect.coefficients) + len(fitted)
+        return len(self.effect.coefficients) + len(fitted) + (self.recording is not None)
 
 
 def joints_of(placement: Placement) -> tuple[int, ...]:

@@ -52,3 +52,17 @@ def test_an_effect_in_one_recording_is_no_rival_of_an_effect_of_the_arm():
     (step,) = lieid.diagnose(MODEL, train).steps
     assert step.label == "stribeck:1"
     assert not any("recording" in rival.label for rival in step.rivals)
+
+
+def test_an_effect_that_one_recording_cannot_show_is_an_effect_of_the_arm():
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    arm = arm.with_effects(plant.hidden_effect(arm, "viscous_polynomial", 0, strength=2.0))
+    t, train = np.arange(0.0, 10.0, 0.004), []
+    for seed, scale in ((1, 0.1), (2, 1.0)):
+        motion = plant.FourierTrajectory(ROBOT, base_frequency=0.1, seed=seed).at(t)
+        sensors = plant.demo_sensors(ROBOT)
+        slower = [scale * x for x in motion]
+        train.append(plant.measure_along(arm, t, *slower, sensors=sensors, seed=seed))
+    diagnosis = lieid.diagnose(MODEL, train)
+    assert [step.label for step in diagnosis.steps] == ["viscous_polynomial:1"]
+    assert not diagnosis.differing
