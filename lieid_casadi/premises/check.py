@@ -245,6 +245,8 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
     before, after = full.base, full.errors(alternative.correction)
     score = after.score(before) + alternative.cost
     ratios = after.relative / before.relative
+    if alternative.premise == "joint_coupling":  # it changes the torque that errors are relative to
+        ratios = np.maximum(ratios, ratios * after.scale / before.scale)
     clear = score <= LEAST_SCORE
     shown_free = (ratios[0] < SHOWS) & (before.relative[0] > LEAST_BEFORE)
     shown_stated = (match.unexplained(before) or 0.0) > LEAST_UNEXPLAINED and bool(
