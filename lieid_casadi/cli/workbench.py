@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def run(args: argparse.Namespace) -> None:
     """Serve the page until the program is asked to end."""
     from lieid_casadi.workbench.server import ServerOptions, serve
-    from lieid_casadi.workbench.worker import WorkerSetup
+    from lieid_casadi.workbench.session import WorkerSetup
 
     setup = WorkerSetup(
         prepare=functools.partial(effects_file.load, args.effects_file),

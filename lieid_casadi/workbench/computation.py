@@ -52,12 +52,13 @@ from lieid_casadi.workbench.session import (
     ExcludedRange,
     FoundEffects,
     ModelStep,
+    Progress,
     ProposedEffect,
     StepErrors,
     WorkbenchInputs,
+    WorkerSetup,
     kept_parts,
 )
-from lieid_casadi.workbench.worker import Progress, WorkerSetup
 
 Kind = Literal["fit", "report", "c", "urdf", "mjcf"]
 Kept = TypeVar("Kept")

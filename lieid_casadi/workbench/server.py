@@ -39,9 +39,9 @@ except ImportError as error:
 
 from lieid_casadi.workbench.evaluation import OpenedInputs
 from lieid_casadi.workbench.page import build_page
-from lieid_casadi.workbench.session import WorkbenchInputs, is_name, load_session
+from lieid_casadi.workbench.session import WorkbenchInputs, WorkerSetup, is_name, load_session
 from lieid_casadi.workbench.workbench import Workbench
-from lieid_casadi.workbench.worker import Worker, WorkerSetup
+from lieid_casadi.workbench.worker import Worker
 
 LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 8765

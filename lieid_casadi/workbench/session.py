@@ -11,20 +11,26 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LieidError
 
+if TYPE_CHECKING:
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.recording import Recording
+    from lieid_casadi.robot import Robot
+
 Role = Literal["train", "test"]
 Mode = Literal["missing", "changed"]
 Numbers = tuple[float | None, ...]  # one per joint, None where unknown
 Options = tuple[tuple[str, tuple[str, ...]], ...]
+Progress = Callable[[str, float], None]  # of a stage and the fraction done
 
 START = "first model"
 SCHEMA = 2
@@ -98,6 +104,19 @@ class WorkbenchInputs:
     def paths(self, role: Role) -> list[str]:
         """Return the paths of the recordings with this role."""
         return [r.path for r in self.recordings if r.role == role]
+
+
+@dataclass(frozen=True)
+class WorkerSetup:
+    """What a worker process runs with: picklable functions of the command line.
+
+    ``prepare`` is called once, before anything is opened: it loads the user's file of effects.
+    ``robot`` and ``read`` load the robot and the recordings of inputs with all of their options.
+    """
+
+    prepare: Callable[[], None]
+    robot: Callable[[WorkbenchInputs], Robot]
+    read: Callable[[WorkbenchInputs, Robot | Fit], list[Recording]]
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from lieid_casadi.workbench.session import (
     Numbers,
     Session,
     WorkbenchInputs,
+    WorkerSetup,
     save_session,
 )
 from lieid_casadi.workbench.worker import (
@@ -27,7 +28,6 @@ from lieid_casadi.workbench.worker import (
     Task,
     Worker,
     WorkerError,
-    WorkerSetup,
     WorkerStopped,
 )
 

@@ -17,34 +17,15 @@ from dataclasses import dataclass
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from lieid_casadi.errors import LieidError, RecordingError
-from lieid_casadi.workbench.session import WorkbenchInputs
-
-if TYPE_CHECKING:
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.recording import Recording
-    from lieid_casadi.robot import Robot
+from lieid_casadi.workbench.session import Progress, WorkbenchInputs, WorkerSetup
 
 Task = Literal[
     "opened", "premises", "evaluate", "find", "adopt", "motion", "curves", "simulate", "save"
 ]  # fmt: skip
 PR_SET_PDEATHSIG = 1  # of Linux's prctl: the signal that a process gets when its parent ends
-Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class WorkerSetup:
-    """What a worker process runs with: picklable functions of the command line.
-
-    ``prepare`` is called once, before anything is opened: it loads the user's file of effects.
-    ``robot`` and ``read`` load the robot and the recordings of inputs with all of their options.
-    """
-
-    prepare: Callable[[], None]
-    robot: Callable[[WorkbenchInputs], Robot]
-    read: Callable[[WorkbenchInputs, Robot | Fit], list[Recording]]
 
 
 @dataclass(frozen=True)

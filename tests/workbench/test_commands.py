@@ -14,8 +14,7 @@ from lieid_casadi.cli.main import build_parser, main
 from lieid_casadi.cli.workbench import inputs_of, load_robot, read_recordings
 from lieid_casadi.workbench.commands import python_lines, shell_lines
 from lieid_casadi.workbench.computation import Computation
-from lieid_casadi.workbench.session import Session
-from lieid_casadi.workbench.worker import WorkerSetup
+from lieid_casadi.workbench.session import Session, WorkerSetup
 
 STIFFNESS, DAMPING = np.array([300.0, 200.0]), np.array([4.0, 2.5])
 

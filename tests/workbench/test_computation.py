@@ -17,8 +17,13 @@ from lieid_casadi.workbench.arm import TRIANGLE, arm_meshes, arm_motion, stl_byt
 from lieid_casadi.workbench.computation import Computation, recording_titles
 from lieid_casadi.workbench.evaluation import page_tables, series_of
 from lieid_casadi.workbench.plots import errors_over_signals, torque_lines
-from lieid_casadi.workbench.session import ProposedEffect, RecordingInput, Session, WorkbenchInputs
-from lieid_casadi.workbench.worker import WorkerSetup
+from lieid_casadi.workbench.session import (
+    ProposedEffect,
+    RecordingInput,
+    Session,
+    WorkbenchInputs,
+    WorkerSetup,
+)
 
 
 def robot(inputs):

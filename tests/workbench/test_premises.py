@@ -10,8 +10,7 @@ import lieid_casadi as lieid
 from lieid_casadi.cli.workbench import load_robot, read_recordings
 from lieid_casadi.premises import PremiseCheck
 from lieid_casadi.workbench.computation import Computation
-from lieid_casadi.workbench.session import RecordingInput, WorkbenchInputs
-from lieid_casadi.workbench.worker import WorkerSetup
+from lieid_casadi.workbench.session import RecordingInput, WorkbenchInputs, WorkerSetup
 
 SETUP = WorkerSetup(prepare=functools.partial(int), robot=load_robot, read=read_recordings)
 

@@ -22,7 +22,8 @@ def hold(begun):
 
 def serve(begun):
     """Start a worker that computes; print its process."""
-    from lieid_casadi.workbench.worker import Worker, WorkerSetup
+    from lieid_casadi.workbench.session import WorkerSetup
+    from lieid_casadi.workbench.worker import Worker
 
     worker = Worker(WorkerSetup(prepare=functools.partial(hold, begun), robot=None, read=None))
     worker.start()
