@@ -190,6 +190,8 @@ class Unexplained:
         Signals of the effect that explains most of it and was not added; none without one.
     candidates : tuple of (str, str)
         Effects that explain part of it on the training data, and why each was not added.
+    recordings : str
+        Where it is that large: ``training recordings`` or ``test``; empty without a test.
     """
 
     joint: int
@@ -197,13 +199,15 @@ class Unexplained:
     ratio: float
     depends_on: tuple[str, ...] = ()
     candidates: tuple[tuple[str, str], ...] = ()
+    recordings: str = ""
 
     @property
     def relation(self) -> str:
         """What the error is, as a clause."""
+        where = f" on the {self.recordings}" if self.recordings else ""
         return (
-            f"the error in motion is {self.ratio:.2g} times what noise explains, and neither an "
-            "effect of the library nor a smooth function lowers it on held-out data"
+            f"the error in motion{where} is {self.ratio:.2g} times what noise explains, and "
+            "neither an effect of the library nor a smooth function lowers it on held-out data"
         )
 
     def to_dict(self) -> dict[str, Any]:

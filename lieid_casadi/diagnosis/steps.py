@@ -219,15 +219,22 @@ def unexplained_parts(
     options : DiagnosisOptions
     """
     ratio = _over_floor(fitted.rms_moving, fitted.noise_floor)
+    where = [""] * len(ratio)
     if tested is not None:
-        ratio = np.maximum(ratio, _over_floor(tested.rms_moving, tested.noise_floor))
+        unseen = _over_floor(tested.rms_moving, tested.noise_floor)
+        where = [
+            "test" if u > r else "training recordings" for u, r in zip(unseen, ratio, strict=True)
+        ]
+        ratio = np.maximum(ratio, unseen)
     found = []
     for j in np.argsort(-ratio):
         if ratio[j] > options.largest_error:
             own = tuple((k, why) for k, why in rejected.items() if _acts_on(k, int(j)))
             depends = next((_signals(k, int(j)) for k, _ in own if k.startswith(SMOOTH)), ())
             fraction = float(1.0 - ratio[j] ** -2)
-            found.append(Unexplained(int(j), fraction, float(ratio[j]), depends, own))
+            found.append(
+                Unexplained(int(j), fraction, float(ratio[j]), depends, own, recordings=where[j])
+            )
     return tuple(found)
 
 

@@ -103,6 +103,13 @@ def with_steps(diagnosis, *steps):
     return replace(diagnosis, steps=steps)
 
 
+def test_an_unexplained_error_states_where_it_is():
+    other = run(arm_with(("load_friction", 0, 5.0)), 2)
+    diagnosis = lieid.diagnose(MODEL, run(arm_with(), 1), other)
+    assert not diagnosis.steps
+    assert "the error in motion on the test is" in diagnosis.sentence
+
+
 def test_few_independent_stretches_are_stated():
     diagnosis = diagnosis_of(LOAD_FRICTION)
     (step,) = diagnosis.steps
