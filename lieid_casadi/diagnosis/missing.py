@@ -186,8 +186,10 @@ class MissingEffects:
         """Return the fit with all effects that are worth their place in it, and these effects."""
         while True:
             needed = self._needed(rows, [a.fitted(fit) for a in accepted], found)
-            open_ = [a for a in needed if not a.determined(fit, self.options.gain_deviations)]
-            for last in open_[-1:]:
+            undetermined = [
+                a for a in needed if not a.determined(fit, self.options.gain_deviations)
+            ]
+            for last in undetermined[-1:]:
                 needed.remove(last)
                 self.rejected[last.placement.label] = "the data do not determine its coefficients"
             if len(needed) == len(fit.model.placements) - len(self.first.model.placements):
@@ -206,14 +208,8 @@ class MissingEffects:
             others = {x for x in sure - {label} if x.partition(":")[0] == label.partition(":")[0]}
             reason = slot.reason(self.options, elsewhere=len(others))
             if reason is None and self.ask is not None and label not in have:
-                joint = slot.joint
-                sizes = found.spread[joint] * np.sqrt(
-                    [
-                        x[joint] / max(len(found.rows.runs[joint].all), 1)
-                        for x in (slot.before, slot.after)
-                    ]
-                )
-                if not self.ask(Proposal(label, joint, float(sizes[0]), float(sizes[1]))):
+                before, after = found.held_out_errors(slot)
+                if not self.ask(Proposal(label, slot.joint, before, after)):
                     reason = "rejected by the user"
             if reason is None:
                 new.append(slot)
