@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -102,6 +103,16 @@ class Model:
         self.robot = robot
         self.library: Library = dict(REGISTER) if library is None else library
         self.placements: tuple[Placement, ...] = parse_effects(effects, robot.n)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: the library without effects that no other process can import."""
+        known = {
+            label: variant
+            for label, variant in self.library.items()
+            if getattr(sys.modules.get(variant.kind.__module__), variant.kind.__qualname__, None)
+            is variant.kind
+        }
+        return {**self.__dict__, "library": known}
 
     @classmethod
     def of_placements(

@@ -1,5 +1,7 @@
 """Models: placement of effects, columns, batches of samples."""
 
+import pickle
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -7,9 +9,9 @@ from robot.random_arms import random_arm
 from scipy.special import erf
 
 import lieid_casadi as lieid
-from lieid_casadi.effects import LIBRARY, make
+from lieid_casadi.effects import LIBRARY, Effect, make
 from lieid_casadi.effects.effect import Signals
-from lieid_casadi.effects.registry import REGISTER
+from lieid_casadi.effects.registry import REGISTER, EffectVariant
 from lieid_casadi.errors import EffectError, ModelError
 
 
@@ -193,6 +195,19 @@ def test_sliding_joints_have_newtons():
     for column in model.columns:
         revolute = robot.joints[column.joint].revolute
         assert ("N·m" in column.unit) == revolute
+
+
+def test_a_model_is_pickled_without_effects_that_cannot_be_imported():
+    class Local(Effect):
+        name = "local_effect"
+
+    library = {**REGISTER, "local_effect": EffectVariant(Local, "")}
+    model = lieid.Model(lieid.robots.two_link(), "viscous", library=library)
+    again = pickle.loads(pickle.dumps(model))
+    assert "local_effect" not in again.library
+    assert "stribeck" in again.library
+    assert again.effects == model.effects
+    assert "local_effect" in model.library
 
 
 @pytest.mark.parametrize("kind", LIBRARY, ids=lambda kind: kind.name)
