@@ -41,6 +41,7 @@ def test_stored_notebook_is_small_whole_and_free_of_errors(stored):
     assert sum("image/png" in output.get("data", {}) for output in outputs) >= 2
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of the kernel's own machinery
 def test_notebook_runs_again_and_finds_the_hidden_effect(stored):
     fresh = nbformat.from_dict(stored)

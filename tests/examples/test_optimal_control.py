@@ -18,6 +18,7 @@ import optimal_control
 PANDA = lieid.robots.panda()
 
 
+@pytest.mark.slow
 def test_the_fastest_motion_keeps_the_limits_on_the_simulated_arm(tmp_path):
     plan, share, tracking = optimal_control.main(["-o", str(tmp_path / "motion.png")])
     assert plan.duration < 1.0

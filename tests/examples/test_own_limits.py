@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+import pytest
 
 from lieid_casadi.excitation import capsules_of
 from lieid_casadi.plant.rigid import build_pinocchio
@@ -12,6 +13,7 @@ from lieid_casadi.plant.rigid import build_pinocchio
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_limits.py"
 
 
+@pytest.mark.slow
 def test_power_and_pillar():
     specification = importlib.util.spec_from_file_location("own_limits", EXAMPLE)
     module = importlib.util.module_from_spec(specification)

@@ -33,6 +33,7 @@ def built(request, tmp_path_factory):
     return fit, folder / "build"
 
 
+@pytest.mark.slow
 def test_what_a_controller_must_withstand(built):
     """The cases are in test/abuse.cpp, which fails at the first that is wrong."""
     fit, folder = built

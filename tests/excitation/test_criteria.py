@@ -141,6 +141,7 @@ def test_jacobian_of_a_limit(limit):
             assert close.all()
 
 
+@pytest.mark.slow
 def test_combined_criterion_improves_log_det():
     """C1's bound on −log det: never much worse than C3's, better than C2's."""
     options = {

@@ -98,6 +98,7 @@ def test_a_second_call_resumes(done, given):
         lieid.experiment(ROBOT, given, record=record, folder=result.folder, seed=3, **QUICK)
 
 
+@pytest.mark.slow
 def test_what_is_not_recorded_is_kept_and_resumed(given, tmp_path):
     record, motions = recorder(arm())
     arguments = {"folder": tmp_path, **QUICK}

@@ -73,6 +73,7 @@ def test_one_alarm_per_cause_with_name_and_beginning(judged):
     assert alarms["A2"].severity > alarms["A1"].severity > 0.0
 
 
+@pytest.mark.slow
 def test_an_acknowledged_alarm_starts_a_new_baseline(tmp_path):
     path = write_history(tmp_path / "h.duckdb", 12, ARMS, changed)
     with History(path) as history:
@@ -108,6 +109,7 @@ def test_the_first_alarm_is_possible_on_the_fourth_night(tmp_path):
         assert [a.serial for a in new] == (["A0"] if nights == 4 else [])
 
 
+@pytest.mark.slow
 def test_report_export_and_acknowledge_by_command(judged, tmp_path, capsys):
     history, _ = judged
     history.close()

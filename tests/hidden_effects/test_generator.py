@@ -232,6 +232,7 @@ def test_a_name_defines_a_case(tmp_path):
         assert (tmp_path / "0" / file).read_bytes() == (tmp_path / "1" / file).read_bytes()
 
 
+@pytest.mark.slow
 def test_before_a_change_there_are_no_hidden_effects():
     drawn = draw(Case.parse("changed-single-stribeck-2x-0"))
     assert not drawn.arms[0].effects

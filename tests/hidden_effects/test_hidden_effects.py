@@ -59,14 +59,17 @@ def test_strong_effects_are_named_and_no_others():
     assert_enough(STRONG, 0.95)
 
 
+@pytest.mark.slow
 def test_complete_models_are_sufficient():
     assert_enough(NOTHING, 0.95)
 
 
+@pytest.mark.slow
 def test_violated_assumptions_give_no_wrong_name():
     assert_enough(VIOLATED, 0.95)
 
 
+@pytest.mark.slow
 def test_foreign_effects_are_unexplained():
     assert_enough(FOREIGN, 0.90)
 
