@@ -43,12 +43,11 @@ def test_what_a_controller_must_withstand(built):
     assert ("1 kg at the tool" in shown) == ("presliding:2" not in fit.model.effects)
 
 
+@pytest.mark.parametrize("built", ["rolling"], indirect=True)  # MuJoCo has no presliding
 def test_it_moves_an_arm_of_mujoco(built):
     """Another dynamics engine, whose dry friction is not the controller's."""
     mujoco = pytest.importorskip("mujoco")
     fit, folder = built
-    if fit.model.states:
-        pytest.skip("MuJoCo has no presliding")
     model = mujoco.MjModel.from_xml_string(mjcf_text(fit)[0])
     model.opt.timestep = 1e-3
     data, plug_in = mujoco.MjData(model), ctypes.CDLL(str(folder / "libidentified_arm_c.so"))
