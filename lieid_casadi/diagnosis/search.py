@@ -218,10 +218,9 @@ def _rules(
         candidate = columns.candidate(group)
         return reason_against(candidate, columns.shapes(group), values, rows.segments) is None
 
-    own = np.array([max(run.count, 2) for run in rows.runs], dtype=float)
-    count = np.array([own.sum() if c.reaches_all else own[c.joint] for c in columns.owners])
+    count = sum(run.count for run in rows.runs)
     more = np.ones(len(columns.size)) if dependence is None else dependence
-    independent = np.maximum(count[columns.owner] / more, 2.0)
+    independent = np.maximum(count / more, 2.0)
     return Rules(
         options.penalty * columns.parameters * more * np.log(independent),
         columns.support > options.least_support,
