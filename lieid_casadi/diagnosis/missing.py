@@ -193,8 +193,32 @@ class MissingEffects:
                 needed.remove(last)
                 self.rejected[last.placement.label] = "the data do not determine its coefficients"
             if len(needed) == len(fit.model.placements) - len(self.first.model.placements):
-                return fit, needed
+                least = self._least_fall(fit, needed)
+                if least is None:
+                    return fit, needed
+                needed.remove(least)
             fit, accepted = self._plausible(needed)
+
+    def _least_fall(self, fit: Fit, needed: Sequence[Accepted]) -> Accepted | None:
+        """Return the effect whose stated fall is least, if it is below what an effect is worth.
+
+        Beside a smooth function of its joint the fall of an effect is not its own.
+        """
+        smooth = {a.joint for a in needed if a.candidate.name == SMOOTH}
+        model, falls = FinalModel.of(fit, self.segments, None), dict[Accepted, float]()
+        for found in () if self.apart else needed:
+            if found.joint not in smooth:
+                without = model.errors(model.columns_of([found.placement]))["cv"]
+                assert without is not None
+                falls[found] = float(1.0 - fit.rms_cv[found.joint] / without[found.joint])
+        least = min(falls, key=falls.__getitem__, default=None)
+        if least is None or falls[least] >= self.options.worth:
+            return None
+        self.rejected[least.placement.label] = (
+            "in the final model it lowers the cross-validated error by only "
+            f"{100 * max(falls[least], 0.0):.1f} %"
+        )
+        return least
 
     def _accepted(self, found: Round, have: set[str]) -> list[Accepted]:
         """Return the effects of a round that pass; the reasons against the others are kept."""
