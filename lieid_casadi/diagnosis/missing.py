@@ -200,7 +200,7 @@ class MissingEffects:
             fit, accepted = self._plausible(needed)
 
     def _least_fall(self, fit: Fit, needed: Sequence[Accepted]) -> Accepted | None:
-        """Return the effect whose stated fall is least, if it is below what an effect is worth.
+        """Return the effect whose stated fall is least, if it is below the option `worth`.
 
         Beside a smooth function of its joint the fall of an effect is not its own.
         """
