@@ -17,7 +17,7 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
-from lieid_casadi.diagnosis.search import SMOOTH, Round, fall_beside, search
+from lieid_casadi.diagnosis.search import SMOOTH, Round, search
 from lieid_casadi.diagnosis.smooth_functions import formula_of
 from lieid_casadi.diagnosis.step import Difference, Step
 from lieid_casadi.diagnosis.steps import (
@@ -160,13 +160,13 @@ class MissingEffects:
             found.append(step)
         return tuple(found)
 
-    def _searched(self, first: Rows) -> tuple[Fit, list[Accepted], Round]:
+    def _searched(self, rows: Rows) -> tuple[Fit, list[Accepted], Round]:
         """Return the fit with all effects that are added, these effects, and the last round."""
-        rows, accepted, rounds = first, list[Accepted](), 0
+        accepted, rounds = list[Accepted](), 0
         while True:
             self.report(_stage(accepted), 0.1 + 0.7 * rounds / (rounds + ROUNDS))
             found = search(rows, self.options, refused=self.refused)
-            new = self._accepted(found, {a.placement.label for a in accepted})
+            new = self._accepted(found, accepted)
             apart = self._set_apart(found)
             rounds += 1
             fit, accepted = self._plausible([*accepted, *new], held=True)
@@ -174,62 +174,65 @@ class MissingEffects:
                 complete = self._fitted(accepted)
                 kept = self._with_plausible_values(complete, accepted)
                 if len(kept) == len(accepted) or rounds > ROUNDS:
-                    return *self._final(complete, kept, first, found), found
+                    return *self._final(complete, kept), found
                 fit, accepted = self._plausible(kept, held=True)
             rows = Rows.of(fit, self.segments, known=self.known, before=rows)
             for columns in self.apart:
                 rows = rows.with_apart(columns)
 
-    def _final(
-        self, fit: Fit, accepted: list[Accepted], rows: Rows, found: Round
-    ) -> tuple[Fit, list[Accepted]]:
-        """Return the fit with all effects that are worth their place in it, and these effects."""
-        while True:
-            needed = self._needed(rows, [a.fitted(fit) for a in accepted], found)
-            undetermined = [
-                a for a in needed if not a.determined(fit, self.options.gain_deviations)
-            ]
-            for last in undetermined[-1:]:
-                needed.remove(last)
-                self.rejected[last.placement.label] = "the data do not determine its coefficients"
-            if len(needed) == len(fit.model.placements) - len(self.first.model.placements):
-                least = self._least_fall(fit, needed)
-                if least is None:
-                    return fit, needed
-                needed.remove(least)
-            fit, accepted = self._plausible(needed)
+    def _final(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
+        """Return the fit with all effects that the final model needs, and these effects.
 
-    def _least_fall(self, fit: Fit, needed: Sequence[Accepted]) -> Accepted | None:
-        """Return the effect whose stated fall is least, if it is below the option `worth`.
-
-        Beside a smooth function of its joint the fall of an effect is not its own.
+        They leave it one at a time, since either of two that resemble each other may be needed.
         """
-        smooth = {a.joint for a in needed if a.candidate.name == SMOOTH}
-        model, falls = FinalModel.of(fit, self.segments, None), dict[Accepted, float]()
-        for found in () if self.apart else needed:
-            if found.joint not in smooth:
-                without = model.errors(model.columns_of([found.placement]))["cv"]
-                assert without is not None
-                falls[found] = float(1.0 - fit.rms_cv[found.joint] / without[found.joint])
-        least = min(falls, key=falls.__getitem__, default=None)
-        if least is None or falls[least] >= self.options.worth:
-            return None
-        self.rejected[least.placement.label] = (
-            "in the final model it lowers the cross-validated error by only "
-            f"{100 * max(falls[least], 0.0):.1f} %"
-        )
-        return least
+        while True:
+            least = self._not_needed(fit, accepted)
+            if least is None:
+                return fit, accepted
+            fit, accepted = self._plausible([a for a in accepted if a is not least])
 
-    def _accepted(self, found: Round, have: set[str]) -> list[Accepted]:
+    def _not_needed(self, fit: Fit, accepted: Sequence[Accepted]) -> Accepted | None:
+        """Return the effect whose stated fall is least, if it is too small, or undetermined.
+
+        What differs between the recordings is part of every error; beside it, and beside a smooth
+        function of its joint, which may contain it, an effect must lower the error at all.
+        """
+        limit = self.options.gain_deviations
+        for found in reversed(accepted):
+            if not found.determined(fit, limit):
+                self.rejected[found.placement.label] = "the data do not determine its coefficients"
+                return found
+        model, smooth = FinalModel.of(fit, self.segments, None), set[int]()
+        smooth |= {a.joint for a in accepted if a.candidate.name == SMOOTH}
+        missed = list[tuple[float, float, Accepted]]()
+        for found in accepted:
+            without = model.errors(model.columns_of([found.placement]))["cv"]
+            assert without is not None
+            fall = float(1.0 - fit.rms_cv[found.joint] / without[found.joint])
+            contained = found.candidate.name != SMOOTH and found.joint in smooth
+            least = 0.0 if self.apart or contained else self.options.worth
+            missed.append((fall - least, fall, found))
+        beyond, fall, least_one = min(missed, key=lambda each: each[0], default=(0.0, 0.0, None))
+        if least_one is None or beyond >= 0.0:
+            return None
+        self.rejected[least_one.placement.label] = (
+            "in the final model it lowers the cross-validated error by only "
+            f"{100 * max(fall, 0.0):.1f} %"
+        )
+        return least_one
+
+    def _accepted(self, found: Round, accepted: Sequence[Accepted]) -> list[Accepted]:
         """Return the effects of a round that pass; the reasons against the others are kept."""
         new = list[Slot]()
         candidates = {slot: found.columns.candidate(slot.group) for slot in found.slots}
-        sure = {c.label for s, c in candidates.items() if s.reason(self.options) is None} | have
+        sure = [c for slot, c in candidates.items() if slot.reason(self.options) is None]
+        sure += [a.candidate for a in accepted]
+        have = {a.placement.label for a in accepted}
         for slot, candidate in candidates.items():
             if candidate.recording is not None:
                 continue
             label = candidate.label
-            others = {x for x in sure - {label} if x.partition(":")[0] == label.partition(":")[0]}
+            others = {c.joint for c in sure if c.name == candidate.name} - {candidate.joint}
             reason = slot.reason(self.options, elsewhere=len(others))
             if reason is None and self.ask is not None and label not in have:
                 before, after = found.held_out_errors(slot)
@@ -312,36 +315,6 @@ class MissingEffects:
             temperature_mean=self.first.temperature_mean,
             provenance=self.first.provenance,
         )
-
-    def _needed(self, rows: Rows, accepted: Sequence[Accepted], found: Round) -> list[Accepted]:
-        """Return the effects that are worth their place beside all others.
-
-        Smooth functions of its joint may contain an effect of the library: beside them it must
-        lower the held-out error at all, and by how much it does so without them.
-        """
-        kept = list(accepted)
-        for columns in self.apart:
-            rows = rows.with_apart(columns)
-
-        def fall(found_effect: Accepted, effects: Sequence[Accepted]) -> float:
-            pairs = [(a.candidate, a.shapes) for a in effects]
-            return fall_beside(rows, effects.index(found_effect), pairs, found)
-
-        while kept:
-            library = [a for a in kept if a.candidate.name != SMOOTH]
-            smooth = {a.joint for a in kept if a not in library}
-            worth = [fall(a, kept) for a in kept]
-            for k, a in enumerate(kept):
-                if worth[k] > 0.0 and a in library and a.joint in smooth:
-                    worth[k] = fall(a, library)
-            least = int(np.argmin(worth))
-            if worth[least] >= self.options.worth:
-                break
-            self.rejected[kept.pop(least).placement.label] = (
-                "beside the other effects it lowers the held-out error by only "
-                f"{100 * max(worth[least], 0.0):.1f} %"
-            )
-        return kept
 
 
 def _held_shapes(model: Model, added: Sequence[Accepted], first: Fit) -> Array:

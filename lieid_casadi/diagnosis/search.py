@@ -121,26 +121,6 @@ def search(
     return Round(rows, scale, paths.columns, paths.span, folds, paths, slots)
 
 
-def fall_beside(
-    rows: Rows, effect: int, effects: Sequence[tuple[Candidate, Array]], found: Round
-) -> float:
-    """Return the relative fall of a joint's held-out error by one of some effects.
-
-    Each has its shape parameters; the others are part of the model, so that none of their
-    directions stays at zero where a held-out part has most of the information on it. ``found`` is
-    the round whose parts and weights are used.
-    """
-    every = rows.with_candidates([replace(c, grid=shapes[None]) for c, shapes in effects])
-    for other in range(len(effects)):
-        if other != effect:
-            rows = rows.with_apart(every.columns.dense(other))
-    rows = replace(rows, columns=every.columns)
-    span, columns = _weighted(rows, found.spread, None)
-    late = _late_friction(span, rows, found.spread)
-    (slot,) = judge(span, columns, found.folds, [effect], [[effect]] * found.folds.count, late)
-    return slot.fall
-
-
 def _late_friction(span: Span, rows: Rows, spread: Array) -> Array:
     """Return the weighted change of torque (R, n) if the dry friction of each joint is late."""
     late = np.zeros((len(span.joint_of), len(rows.runs)))

@@ -8,7 +8,7 @@ columns, so that leaving a step out costs nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import rivals_of
 from lieid_casadi.diagnosis.search import SMOOTH, Round
 from lieid_casadi.diagnosis.step import Evidence, Fall, Rival, Status, Step, Unexplained
-from lieid_casadi.effects import ArmEffect, Placement
+from lieid_casadi.effects import Placement
 from lieid_casadi.errors import LateFrictionWarning
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.fit_warnings import WEAK
@@ -77,12 +77,6 @@ class Accepted:
     def placement(self) -> Placement:
         """Where it acts."""
         return self.candidate.placement
-
-    def fitted(self, fit: Fit) -> Accepted:
-        """Return the effect at the grid point that a fit's values are."""
-        values, shapes, _ = fitted_values(fit, self.placement)
-        along = isinstance(self.candidate.effect, ArmEffect) and not len(shapes)
-        return replace(self, shapes=values if along else shapes)
 
     def determined(self, fit: Fit, deviations: float) -> bool:
         """Whether its coefficients together differ from zero by a number of standard deviations."""

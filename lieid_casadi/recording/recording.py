@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path
@@ -58,7 +59,7 @@ class Recording(Measurement):
         """Time from the first row to the last, s."""
         return float(self.t[-1] - self.t[0]) if self.t.size else 0.0
 
-    @property
+    @cached_property
     def rate(self) -> float:
         """Samples per second, Hz: one over the median time between rows (see `sample_rate`)."""
         return sample_rate(self.t)
