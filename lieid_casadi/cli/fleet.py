@@ -206,23 +206,31 @@ def export(args: argparse.Namespace) -> output.Outcome:
 
 
 def acknowledge(args: argparse.Namespace) -> output.Outcome:
-    """Close alarms and say how many."""
-    from lieid_casadi.fleet.alarms import acknowledge, refit_advice
+    """Close alarms and say how many; of a change that lasts, write or ask for a new fit."""
+    from lieid_casadi.fleet.alarms import acknowledge, open_alarms, refit_advice
+    from lieid_casadi.fleet.config import read_fleet
     from lieid_casadi.fleet.history import History
+    from lieid_casadi.fleet.run import reidentify
 
     with History(args.history, new=False, wait=args.wait) as history:
-        closed = acknowledge(history, args.serial, joint=args.joint, note=args.note, last=args.date)
-        lasting = [alarm for alarm in closed if alarm.closed == alarm.last]
-        advice = refit_advice(history, lasting[0]) if lasting else ""
+        alarms = open_alarms(history, args.serial, args.joint)
+        advice = ""
+        if args.refit is not None:
+            if not alarms:
+                raise UsageError(f"--refit: arm {args.serial} has no such open alarm")
+            advice = reidentify(history, read_fleet(args.refit), alarms)
+        last = acknowledge(history, args.serial, joint=args.joint, note=args.note, last=args.date)
+        lasting = [alarm for alarm in alarms if alarm.last == last]
+        if lasting and not advice:
+            advice = refit_advice(history, lasting[0])
+            advice = f"The arm differed from its fit until the last night. {advice}"
     where = f" of joint {args.joint}" if args.joint else ""
-    plural = "" if len(closed) == 1 else "s"
+    plural = "" if len(alarms) == 1 else "s"
     text = (
-        f"{args.serial}: {len(closed)} alarm{plural}{where} closed; a new baseline begins with the "
-        "next night."
+        f"{args.serial}: {len(alarms)} alarm{plural}{where} closed; a new baseline begins with the "
+        f"next night. {advice}"
     )
-    if lasting:
-        text += f" The arm differed from its fit until the last night. {advice}"
-    return output.Outcome([text])
+    return output.Outcome([text.rstrip()])
 
 
 def backup(args: argparse.Namespace) -> output.Outcome:
@@ -343,6 +351,8 @@ COMMANDS = (
             --note TEXT required  what was found or done
             --date DATE: night  last night before the repair; default: the arm's last night in the
                 history
+            --refit FLEET.yaml  the change lasts: estimate the changed coefficients again from the
+                nights since, and write a fit beside the present one
             """,
             WAIT,
         ),

@@ -404,10 +404,7 @@ def evidence(history: History, alarm: Alarm) -> dict[str, Any]:
 
 
 def refit_advice(history: History, alarm: Alarm) -> str:
-    """Return how to identify an arm again that differs from its fit since an alarm.
-
-    With the old fit, of which coefficients are wrong, another motion can look like a change.
-    """
+    """Return how to identify an arm again that differs from its fit since an alarm."""
     rows = history.rows(
         "SELECT recording, a.fit FROM runs r JOIN arms a USING (serial, fit_sha256) WHERE "
         "serial = ? AND date >= ? AND status = 'done' ORDER BY date DESC, recording LIMIT 5",
@@ -417,43 +414,49 @@ def refit_advice(history: History, alarm: Alarm) -> str:
     old, first = rows[0][1] if rows else "", alarm.last + timedelta(days=1)
     new = f"{alarm.serial}-{first}.json"
     return (
-        f"If the change lasts, identify the arm again: lieid identify ROBOT {recordings} -o {new}, "
-        f"and enter the fit into the fleet file: fit: [{{path: {old}}}, {{path: {new}, "
-        f"from: {first}}}]. With the old fit another motion can look like a change."
+        "If the change lasts, a new fit is needed: with the old one another motion can look like a "
+        "change. lieid fleet acknowledge --refit estimates the changed coefficients again; for all "
+        f"of them identify the arm again: lieid identify ROBOT {recordings} -o {new}, and enter "
+        f"the fit into the fleet file: fit: [{{path: {old}}}, {{path: {new}, from: {first}}}]."
     )
 
 
-def acknowledge(
-    history: History, serial: str, *, joint: int | None = None, note: str, last: date | None = None
-) -> list[Alarm]:
-    """Close alarms of an arm, or of one joint from 1, and start new baselines; return the alarms.
+def open_alarms(history: History, serial: str, joint: int | None) -> list[Alarm]:
+    """Return the open alarms of an arm, or of one joint from 1.
 
-    ``last`` is the last night before the repair, by default the arm's last night in the history.
     FleetError: the history has no such arm, or the arm no such joint.
     """
     joints = _known_arm(history, serial)
     if joint is not None and not 1 <= joint <= joints:
         raise FleetError(f"arm {serial} has no joint {joint}; expected 1 to {joints}")
+    alarms = read_alarms(history, open_only=True)
+    return [a for a in alarms if a.serial == serial and joint in (None, a.joint)]
+
+
+def acknowledge(
+    history: History, serial: str, *, joint: int | None = None, note: str, last: date | None = None
+) -> date:
+    """Close alarms of an arm, or of one joint from 1, and start new baselines; return ``last``.
+
+    ``last`` is the last night before the repair, by default the arm's last night in the history.
+    FleetError: the history has no such arm or joint, or the arm no runs.
+    """
+    closed = open_alarms(history, serial, joint)
     if last is None:
         ((last,),) = history.rows("SELECT max(date) FROM runs WHERE serial = ?", [serial])
     if last is None:
         raise FleetError(f"{history.path}: arm {serial} has no runs, so nothing to acknowledge")
-    closed = [
-        replace(alarm, closed=last, note=note)
-        for alarm in read_alarms(history, open_only=True)
-        if alarm.serial == serial and joint in (None, alarm.joint)
-    ]
+    labels = [label for alarm in closed for label in alarm.labels if ":" in label]
+    concerned = {joint} | ({int(x.rpartition(":")[2]) for x in labels} if joint else set())
     with history.transaction():
-        history.connection.execute(
+        history.rows(
             "UPDATE alarms SET closed = ?, note = ? WHERE serial = ? AND closed IS NULL "
             "AND (? IS NULL OR joint = ?)",
             [last, note, serial, joint, joint],
         )
-        labels = [label for alarm in closed for label in alarm.labels if ":" in label]
-        concerned = {joint} | ({int(x.rpartition(":")[2]) for x in labels} if joint else set())
         now = datetime.now(UTC)
         history.insert("acknowledgements", [(serial, j, last, note, now) for j in concerned])
-    return closed
+    return last
 
 
 def retire(history: History, serial: str, day: date) -> int:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import orth
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis import Diagnosis, Step, diagnose
@@ -24,9 +26,13 @@ from lieid_casadi.fleet.night_result import (
 from lieid_casadi.fleet.recordings import local_copy
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
-from lieid_casadi.identification.recording_checks import check_recordings
+from lieid_casadi.identification.recording_checks import Source, check_recordings
 from lieid_casadi.identification.regression.design_matrix import Design, rows_per_independent
-from lieid_casadi.identification.regression.least_squares import joint_factors, row_weights
+from lieid_casadi.identification.regression.least_squares import (
+    Factor,
+    joint_factors,
+    row_weights,
+)
 from lieid_casadi.identification.uncertainty.covariance import prior_rows
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.premises import PremiseCheck, check
@@ -35,67 +41,88 @@ from lieid_casadi.recording.readers.registry import hash_of_file
 from lieid_casadi.robot.inertia import parameter_transport
 
 UNDETERMINED = 1e-9  # of scaled columns: directions that the night does not excite
+DESCRIBED = 1.5  # error of nights over the held-out error, up to which a fit describes an arm
 
 
 @dataclass(frozen=True, eq=False)
-class NightEstimate:
-    """Effect coefficients of one night.
+class NightRows:
+    """Equations of one night, one factor per joint, weighted to unit noise.
 
-    ``unexplained`` (n,) is the part of the torque (0 to 1, in terms of RMS) that the robot's
-    regressor cannot explain even if all its parameters are fitted to this night.
+    ``size`` (n,) is the noise of a row, N·m: that of a joint, N·m, for rows that are correlated.
     """
 
-    parameters: tuple[ParameterEstimate, ...]  # coefficients of effects that are base parameters
-    torque_rms: Array  # (n,) of the measured torque in motion, N·m
-    unexplained: Array
-    unexplained_over_noise: Array  # (n,) the same in multiples of the noise
-    error_over_noise: Array  # (n,) of the fit as it is
+    fit: Fit
+    factors: list[Factor]
+    size: Array
+    noise: Array
 
+    @classmethod
+    def of(cls, fit: Fit, recording: Recording) -> NightRows:
+        """Return the equations of a recording with the fit's held-out error as noise."""
+        noise = np.fmax(fit.rms_cv, fit.noise)
+        segments, _ = center_temperature(process([recording], fit.processing), fit.temperature_mean)
+        rows = Design(fit.compiled, segments).rows(fit.shapes, fit.parameters)
+        size = noise * np.sqrt(rows_per_independent(segments[0]))
+        return cls(fit, joint_factors(rows, row_weights(rows, 1.0 / size)), size, noise)
 
-def night_estimate(fit: Fit, recording: Recording, noise: Array) -> NightEstimate:
-    """Estimate a night's effect coefficients; ``noise`` (n,) is the held-out error of the fit, N·m.
+    @property
+    def matrix(self) -> Array:
+        """Columns of the base parameters (R, p) of all joints."""
+        return np.concatenate([factor.r[:, :-1] for factor in self.factors])
 
-    Inertial parameters have the fit's estimate and covariance as prior, coefficients of effects
-    are free. A change of friction is therefore not reduced by the prior, and errors of the
-    inertial parameters enter the standard deviations, which follow from the noise alone.
-    """
-    segments, _ = center_temperature(process([recording], fit.processing), fit.temperature_mean)
-    rows = Design(fit.compiled, segments).rows(fit.shapes, fit.parameters)
-    sizes = noise * np.sqrt(rows_per_independent(segments[0]))
-    factors = joint_factors(rows, row_weights(rows, 1.0 / sizes))
-    stacked = np.concatenate([factor.r for factor in factors])
-    matrix, torque = stacked[:, :-1], stacked[:, -1]
-    effects = np.flatnonzero(fit.model.base.kept >= 10 * fit.model.n)
-    change, covariance = _with_prior(matrix, torque - matrix @ fit.values, _prior(fit, effects))
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    columns = fit.model.base_columns
-    torque_norm = np.array([np.linalg.norm(factor.r[:, -1]) for factor in factors])
-    misfit = np.sqrt([factor.misfit(_free(matrix, torque)) for factor in factors])
-    root = np.sqrt(np.maximum([factor.rows for factor in factors], 1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        unexplained = np.nan_to_num(misfit / torque_norm)
-    return NightEstimate(
-        tuple(
+    @property
+    def torque(self) -> Array:
+        """Torque (R,) of all joints."""
+        return np.concatenate([factor.r[:, -1] for factor in self.factors])
+
+    def errors(self, values: Array) -> Array:
+        """Return the RMS error (n,) of base parameters (p,), in multiples of the noise."""
+        counts = np.maximum([factor.rows for factor in self.factors], 1)
+        misfit = np.array([factor.misfit(values) for factor in self.factors])
+        return np.asarray(np.sqrt(misfit / counts) * self.size / self.noise)
+
+    def torque_rms(self) -> Array:
+        """Return the RMS of the measured torque in motion (n,), N·m."""
+        return self.errors(np.zeros(len(self.fit.values))) * self.noise
+
+    def coefficients(self) -> tuple[ParameterEstimate, ...]:
+        """Return the effect coefficients of the night.
+
+        Inertial parameters have the fit's estimate and covariance as prior, coefficients of effects
+        are free. A change of friction is therefore not reduced by the prior, and errors of the
+        inertial parameters enter the standard deviations, which follow from the noise alone.
+        """
+        fit, count = self.fit, len(self.fit.values)
+        effects = np.flatnonzero(fit.model.base.kept >= 10 * fit.model.n)
+        links = np.setdiff1d(np.arange(count), effects)
+        prior = np.zeros((len(links), count))
+        prior[:, links] = prior_rows(fit.covariance[np.ix_(links, links)])
+        change, covariance = _with_prior(self.matrix, self.torque - self.matrix @ fit.values, prior)
+        std, columns = np.sqrt(np.maximum(np.diag(covariance), 0.0)), fit.model.base_columns
+        return tuple(
             ParameterEstimate(
                 columns[k].name, columns[k].joint + 1, float(fit.values[k] + change[k]),
                 float(std[k]), columns[k].unit,
             )
             for k in effects
-        ),
-        torque_norm / root * sizes,
-        unexplained,
-        misfit / root * sizes / noise,
-        np.sqrt([factor.misfit(fit.values) for factor in factors]) / root * sizes / noise,
-    )  # fmt: skip
+        )  # fmt: skip
 
+    def joints_of_other_arm(self) -> NDArray[np.intp]:
+        """Return the joints whose torque the kinematics cannot explain with any parameters.
 
-def _prior(fit: Fit, effects: NDArray[np.intp]) -> Array:
-    """Return rows (k, p) of a prior with unit variance on the inertial parameters."""
-    count = len(fit.values)
-    links = np.setdiff1d(np.arange(count), effects)
-    rows = np.zeros((len(links), count))
-    rows[:, links] = prior_rows(fit.covariance[np.ix_(links, links)])
-    return rows
+        They are none unless they are half of the joints, and more than one.
+        """
+        scale = np.linalg.norm(self.matrix, axis=0)
+        scale[scale == 0.0] = 1.0
+        free = np.linalg.lstsq(self.matrix / scale, self.torque, rcond=UNDETERMINED)[0] / scale
+        over_noise = self.errors(free)
+        torque = self.torque_rms()
+        part = np.divide(
+            over_noise * self.noise, torque, out=np.zeros_like(torque), where=torque > 0
+        )
+        other = (part > OTHER_ARM_PART) & (over_noise > OTHER_ARM_NOISE)
+        many = 2 * other.sum() >= len(other) and other.sum() > 1
+        return np.flatnonzero(other) if many else np.zeros(0, dtype=np.intp)
 
 
 def _with_prior(matrix: Array, residual: Array, prior: Array) -> tuple[Array, Array]:
@@ -116,11 +143,62 @@ def _with_prior(matrix: Array, residual: Array, prior: Array) -> tuple[Array, Ar
     return change, spread @ spread.T
 
 
-def _free(matrix: Array, torque: Array) -> Array:
-    """Return the least-squares estimate (p,) without a prior."""
-    scale = np.linalg.norm(matrix, axis=0)
-    scale[scale == 0.0] = 1.0
-    return np.asarray(np.linalg.lstsq(matrix / scale, torque, rcond=UNDETERMINED)[0] / scale)
+@dataclass(frozen=True, eq=False)
+class Reidentified:
+    """A fit after a lasting change of the arm."""
+
+    fit: Fit
+    coefficients: tuple[str, ...]  # that were estimated again; ``payload``: of the last link
+    error_ratio: Array  # (n,) largest error of the nights over the held-out error of the old fit
+
+    @property
+    def holds(self) -> bool:
+        """Whether the fit describes the arm again on every joint."""
+        return bool((self.error_ratio <= DESCRIBED).all())
+
+
+def reidentified(
+    nights: Sequence[ArmNight], fit_content: bytes, changed: Collection[str]
+) -> Reidentified:
+    """Return a fit whose changed coefficients are estimated again from the nights since.
+
+    ``changed`` names what is free: coefficients (``coulomb.f_c:2``), effects of the model
+    (``coulomb:2``), or ``payload`` for all parameters of the last link. All other parameters are
+    held within the uncertainty of the fit, so that nights with little motion are enough.
+    """
+    every, sources = [], []
+    for night in nights:
+        with local_copy(night.recording) as path:
+            loaded, recording = load_night(night, fit_content, path)
+        every.append(NightRows.of(loaded, recording))
+        sources.append(Source.of(recording))
+    fit = _fit(fit_content, None, None)
+    model, count = fit.model, len(fit.values)
+    free, names = np.zeros((count, 0)), list[str]()
+    for k, column in enumerate(model.base_columns):
+        label, joint = f"{column.name}:{column.joint + 1}", column.joint + 1
+        if label in changed or f"{column.name.partition('.')[0]}:{joint}" in changed:
+            free, names = np.column_stack([free, np.eye(count)[k]]), [*names, label]
+    if "payload" in changed:
+        last = model.base.combination[:, 10 * (model.n - 1) : 10 * model.n]
+        free, names = np.column_stack([free, last]), [*names, "payload"]
+    held = prior_rows(fit.covariance[:count, :count])
+    released = orth(held @ free)
+    held -= released @ (released.T @ held)
+    matrix = np.concatenate([rows.matrix for rows in every])
+    rest = np.concatenate([rows.torque - rows.matrix @ rows.fit.values for rows in every])
+    change, own = _with_prior(matrix, rest, held)
+    covariance = np.zeros_like(fit.covariance)
+    covariance[:count, :count] = own
+    covariance[count:, count:] = fit.covariance[count:, count:]
+    provenance = replace(fit.provenance, recordings=(*fit.provenance.recordings, *sources))
+    values = fit.values + change
+    again = replace(
+        fit, values=values, parameters=model.base.lift(values, fit.parameters), method="wls",
+        covariance=covariance, certificate=None, provenance=provenance,
+    )  # fmt: skip
+    ratios = [rows.errors(rows.fit.values + change) for rows in every]
+    return Reidentified(again, tuple(names), np.max(ratios, axis=0))
 
 
 FITS_KEPT = 16  # per worker, with their compiled models
@@ -156,17 +234,17 @@ def run_arm_night(night: ArmNight, fit_content: bytes) -> NightResult:
 
 def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
     fit, recording = load_night(night, fit_content, path)
-    estimate = night_estimate(fit, recording, np.fmax(fit.rms_cv, fit.noise))
-    other = _joints_of_other_arm(estimate)
-    if len(other) or (estimate.error_over_noise > SUSPICIOUS).any():
+    rows = NightRows.of(fit, recording)
+    other = rows.joints_of_other_arm()
+    if len(other) or (rows.errors(fit.values) > SUSPICIOUS).any():
         _require_premises(fit, recording, other)
     diagnosis = diagnose(fit, recording)
     return NightResult(
         "done",
         payload=(recording.payload_label or ("",))[0],
         findings=tuple(_finding(step) for step in diagnosis.steps) + _unexplained(diagnosis),
-        parameters=estimate.parameters,
-        errors=_errors(diagnosis, estimate, recording),
+        parameters=rows.coefficients(),
+        errors=_errors(diagnosis, rows, recording),
         checks=tuple((type(w).__name__, str(w)) for w in diagnosis.warnings),
     )
 
@@ -260,15 +338,6 @@ def _payload(night: ArmNight, recording: Recording) -> tuple[float, ...] | None:
     return known.get(labels[0])
 
 
-def _joints_of_other_arm(estimate: NightEstimate) -> NDArray[np.intp]:
-    """Return the joints whose torque the robot's kinematics cannot explain, if they are many."""
-    other = (estimate.unexplained > OTHER_ARM_PART) & (
-        estimate.unexplained_over_noise > OTHER_ARM_NOISE
-    )
-    many = 2 * other.sum() >= len(other) and other.sum() > 1
-    return np.flatnonzero(other) if many else np.zeros(0, dtype=np.intp)
-
-
 def _finding(step: Step) -> Finding:
     """Return a step as a row; its change is that of the parameters in the first one's unit."""
     first, unit = next(iter(step.units.items()), ("", ""))
@@ -301,16 +370,14 @@ def _unexplained(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     )
 
 
-def _errors(
-    diagnosis: Diagnosis, estimate: NightEstimate, recording: Recording
-) -> tuple[JointError, ...]:
+def _errors(diagnosis: Diagnosis, rows: NightRows, recording: Recording) -> tuple[JointError, ...]:
     moving, expected = diagnosis.baseline["rms_test_moving"], diagnosis.expected
     assert moving is not None
     assert expected is not None
     q, none = recording.q, np.full(recording.q.shape, np.nan)
     warm = none if recording.temperature is None else recording.temperature
     columns = (
-        moving, diagnosis.noise_floor, expected, estimate.torque_rms, warm.mean(axis=0),
+        moving, diagnosis.noise_floor, expected, rows.torque_rms(), warm.mean(axis=0),
         q.min(axis=0), q.max(axis=0), q.mean(axis=0), q.std(axis=0),
     )  # fmt: skip
     return tuple(

@@ -10,15 +10,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from functools import cached_property
+from pathlib import Path
 
 from lieid_casadi import __version__
 from lieid_casadi.errors import FleetError, LieidError
-from lieid_casadi.fleet.alarms import Alarm, judge_new_nights
+from lieid_casadi.fleet.alarms import Alarm, judge_new_nights, refit_advice
+from lieid_casadi.fleet.arm_night import reidentified
 from lieid_casadi.fleet.cluster import RunOptions, dashboard_of, dask_client, run_on_cluster
 from lieid_casadi.fleet.config import Dated, Fleet, FleetArm, valid_at
 from lieid_casadi.fleet.history import ArmEntry, History
+from lieid_casadi.fleet.judging import label_of
 from lieid_casadi.fleet.night_result import METHOD, ArmNight, NightResult
-from lieid_casadi.fleet.recordings import list_recordings, local_copy, night_of
+from lieid_casadi.fleet.recordings import is_local, list_recordings, local_copy, night_of
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.fit import content_of
 from lieid_casadi.identification.identify import default_effects
@@ -178,6 +181,7 @@ class LoadedFit:
 
     fit: Fit
     content: bytes
+    path: str = ""  # or URL; empty if the fit was made
 
     @cached_property
     def sha256(self) -> str:
@@ -190,7 +194,9 @@ def fits_of(arm: FleetArm) -> list[Dated[LoadedFit]]:
     found = []
     for entry in arm.fits:
         with local_copy(entry.value) as path:
-            found.append(Dated(LoadedFit(Fit.load(path), path.read_bytes()), entry.first))
+            found.append(
+                Dated(LoadedFit(Fit.load(path), path.read_bytes(), entry.value), entry.first)
+            )
     if not found:
         assert arm.robot is not None
         robot = Robot.load(arm.robot)
@@ -228,12 +234,12 @@ def _entry(arm: FleetArm, fits: Sequence[Dated[LoadedFit]], newest: date) -> Arm
     """Return the row of an arm, with the fit that is valid on the newest night."""
     present = valid_at(fits, newest) or fits[0].value
     first = next(each.first for each in fits if each.value is present)
-    path = next((entry.value for entry in arm.fits if entry.first == first), "")
     limits = {name: list(values) for name, values in arm.limits.items()}
     model = present.fit.model
     return ArmEntry(
-        arm.serial, model.robot.name, model.n, present.sha256, limits, path, first, arm.maintenance
-    )
+        arm.serial, model.robot.name, model.n, present.sha256, limits, present.path, first,
+        arm.maintenance,
+    )  # fmt: skip
 
 
 def recordings_of(
@@ -268,3 +274,51 @@ def recordings_of(
                     ),
                     "",
                 )
+
+
+NIGHTS_AGAIN = 8  # latest ones since a change, from which its coefficients are estimated again
+
+
+def reidentify(history: History, fleet: Fleet, alarms: Sequence[Alarm]) -> str:
+    """Write the fit of an arm after lasting changes beside the present one; return what to do.
+
+    If the changed coefficients do not describe the nights since, nothing is written, and the
+    sentence asks for a new fit. FleetError: the fleet file has no such arm or nights.
+    """
+    serial, last = alarms[0].serial, max(alarm.last for alarm in alarms)
+    since = max(alarm.since for alarm in alarms)
+    arm = next((arm for arm in fleet.arms if arm.serial == serial), None)
+    if arm is None:
+        raise FleetError(f"arm {serial} is not in the fleet file")
+    fits = fits_of(arm)
+    present = valid_at(fits, last) or fits[0].value
+    found = recordings_of(arm, fleet, fits, ArmNight(serial, last.isoformat(), "", "", ""))
+    nights = sorted(
+        (night for night, reason in found if not reason and night.fit_sha256 == present.sha256),
+        key=lambda night: night.date,
+    )
+    nights = [n for n in nights if since <= date.fromisoformat(n.date) <= last][-NIGHTS_AGAIN:]
+    if not nights:
+        raise FleetError(f"arm {serial} has no recordings from {since} to {last}")
+    changed = {label_of(alarm.quantity, alarm.joint) for alarm in alarms}
+    of_model = {f"{c.name.partition('.')[0]}:{c.joint + 1}" for c in present.fit.model.base_columns}
+    if not changed <= of_model | {"payload"}:
+        return refit_advice(history, alarms[0])
+    for alarm in alarms:
+        changed |= {x for x in alarm.labels if alarm.joint and x.endswith(f":{alarm.joint}")}
+    again = reidentified(nights, present.content, changed)
+    names, ratio = ", ".join(again.coefficients), float(again.error_ratio.max())
+    text = (
+        f"{names}, estimated again from {len(nights)} nights since {since}: error up to "
+        f"{ratio:.2g} times the held-out error. "
+    )
+    if not again.holds:
+        return text + refit_advice(history, alarms[0])
+    first = last + timedelta(days=1)
+    old = Path(present.path if present.path and is_local(present.path) else f"{serial}.json")
+    path = old.with_name(f"{old.stem}-{first}.json")
+    again.fit.save(path)
+    return (
+        f"{text}{path} has the new fit; enter it into the fleet file: fit: [{{path: "
+        f"{present.path}}}, {{path: {path}, from: {first}}}]."
+    )

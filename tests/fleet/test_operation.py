@@ -19,6 +19,7 @@ from lieid_casadi.fleet.arm_history import read_arms
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.night_result import NightResult
 from lieid_casadi.fleet.recordings import RecordingFile, night_of
+from lieid_casadi.identification import Fit
 
 LAST = "2026-01-04"
 
@@ -112,6 +113,23 @@ def test_a_new_fit_starts_a_baseline_and_closes_the_alarms_before_it(call):
     assert (alarm.closed, alarm.note) == (date(2026, 1, 5), "new fit")
     assert [str(day) for day in arms["A1"].dates] == ["2026-01-05"]
     assert len(arms["A2"].dates) == 4
+
+
+def test_a_change_that_lasts_is_acknowledged_with_a_new_fit(call, capsys):
+    assert call() == 5
+    words = ["fleet", "acknowledge", str(call.folder / "h.duckdb"), "A1", "--note", "gripper stays"]
+    assert main([*words, "--refit", str(call.folder / "fleet.yaml")]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "payload, estimated again from 2 nights since 2026-01-03" in shown
+    new = call.folder / "fits/A1-2026-01-05.json"
+    assert f"{{path: {new}, from: 2026-01-05}}" in shown
+    before, after = Fit.load(call.folder / "fits/A1.json"), Fit.load(new)
+    assert len(after.provenance.recordings) == len(before.provenance.recordings) + 2
+    np.testing.assert_array_less(  # nothing has changed in the files
+        np.abs(after.values - before.values)[-6:], 0.1
+    )
+    assert main([*words, "--refit", str(call.folder / "fleet.yaml")]) == 2
+    assert "no such open alarm" in capsys.readouterr().err
 
 
 def test_nights_of_maintenance_are_left_out(call):
