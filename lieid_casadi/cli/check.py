@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import inputs, output
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import LieidError, PremiseError
 
 if TYPE_CHECKING:
@@ -20,8 +20,18 @@ if TYPE_CHECKING:
 WRONG = 4  # exit status
 
 
+@command("check", "whether robot and recording belong together")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Check."""
+    """Test what identification rests on, before any physics is inferred.
+
+    That is: mounting, order, signs and zeros of joints, units, the meaning of the torque signal,
+    timing, damaged samples. Exit status 4 if something is certainly wrong.
+
+    @ROBOT_OR_FIT
+    recordings REC …: input  recordings of one arm
+    --test T …: input  recordings to test a fit on: whether they are another motion
+    @RECORDING @JSON @HTML
+    """
     from lieid_casadi.identification import Fit
     from lieid_casadi.premises import check
     from lieid_casadi.report import premises_report
@@ -40,28 +50,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         html=lambda: premises_report(robot, found),
         status=status,
     )
-
-
-COMMANDS = (
-    Command(
-        "check",
-        "whether robot and recording belong together",
-        "Test what identification rests on: mounting, order, signs and zeros of joints, units, the "
-        "meaning of the torque signal, timing, damaged samples. Exit status 4 if something is "
-        "certainly wrong.",
-        (
-            *options.ROBOT_OR_FIT,
-            """
-            recordings REC …: input  recordings of one arm
-            --test T …: input  recordings to test a fit on: whether they are another motion
-            """,
-            *options.RECORDING,
-            options.JSON,
-            options.HTML,
-        ),
-        run,
-    ),
-)
 
 
 def premises_of(

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import argparse
 
-from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli.options import command
 
 
+@command("compare", "errors of a fit on recordings, per joint")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Compare torques, and simulate."""
+    """Compare the torque of a fit with recordings, joint by joint.
+
+    The motion of a simulation of 1 s is compared with the measured one, too.
+
+    fit FIT: input  fit to compare
+    recordings REC …: input  recordings to compare it with
+    --plot FILE: picture  draw measured, predicted and residual torque
+    @RECORDING @DESPITE_CHECK @JSON @HTML
+    """
     from lieid_casadi.comparison import compare
     from lieid_casadi.comparison.comparison import error_table, largest_errors_table, verdict
     from lieid_casadi.report import comparison_report
@@ -34,25 +43,3 @@ def run(args: argparse.Namespace) -> output.Outcome:
         html=lambda: comparison_report(fit, comparison, drift),
         plot=comparison.plot,
     )
-
-
-COMMANDS = (
-    Command(
-        "compare",
-        "errors of a fit on recordings, per joint",
-        "Compare the torque of a fit with recordings, joint by joint, and the motion of a "
-        "simulation of 1 s with the measured one.",
-        (
-            """
-            fit FIT: input  fit to compare
-            recordings REC …: input  recordings to compare it with
-            --plot FILE: picture  draw measured, predicted and residual torque
-            """,
-            *options.RECORDING,
-            options.DESPITE_CHECK,
-            options.JSON,
-            options.HTML,
-        ),
-        run,
-    ),
-)

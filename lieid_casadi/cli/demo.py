@@ -6,16 +6,24 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import output
+from lieid_casadi.cli.options import command
 from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.demo import Demo
 
 
+@command("demo", "the whole workflow on a simulated arm")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Run the workflow and write recordings, fits, plots and the report into a folder."""
+    """Run the whole workflow on a simulated arm: from excitation and diagnosis to C code.
+
+    -o/--output DIR: folder = lieid-demo  folder to write
+    @FORCE
+    --robot ROBOT: input = panda  robot to simulate
+    --seed N: seed = 0  random seed
+    @JSON
+    """
     from lieid_casadi.demo import run_demo
     from lieid_casadi.robot import Robot
 
@@ -32,26 +40,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         },
         folder=lambda: write(demo, folder, force=args.force),
     )
-
-
-COMMANDS = (
-    Command(
-        "demo",
-        "the whole workflow on a simulated arm",
-        "Run the whole workflow on a simulated arm: excitation, identification, comparison, "
-        "diagnosis, C code.",
-        (
-            "-o/--output DIR: folder = lieid-demo  folder to write",
-            options.FORCE,
-            """
-            --robot ROBOT: input = panda  robot to simulate
-            --seed N: seed = 0  random seed
-            """,
-            options.JSON,
-        ),
-        run,
-    ),
-)
 
 
 def write(demo: Demo, folder: Path, *, force: bool = False) -> None:

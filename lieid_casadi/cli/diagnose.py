@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, options, output
 from lieid_casadi.cli.check import premises_of
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import LieidWarning, UsageError
 
 if TYPE_CHECKING:
@@ -17,8 +17,29 @@ if TYPE_CHECKING:
     from lieid_casadi.tables import Table
 
 
+@command(
+    "diagnose",
+    "which effects are missing, or what has changed since a fit",
+    usage="lieid diagnose ROBOT|FIT --train A… [--test B…] [-o fit.json] | FIT REC…",
+)
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Diagnose."""
+    """Find the effects that a model lacks, or what has changed since a fit.
+
+    With --train, the effects that a model lacks (with a FIT, the search starts from the effects of
+    its model); with FIT REC…, what has changed since the fit.
+
+    robot ROBOT|FIT: input  URDF, MJCF or YAML file, or a bundled name, or a fit (JSON)
+    recordings [REC …]: input  with a FIT and without --train: recordings measured since the
+        fit
+    --train A …: input  recordings to fit
+    --test B …: input  recordings to test on, which are not fitted
+    --seed N: seed = 0  stated in the result; a diagnosis draws no random numbers
+    --worth PART: part  least relative fall of a joint's held-out error that is a finding;
+        default: 0.03 for missing effects, 0.1 of the error for changes since a fit
+    -o/--output fit.json: output  write the fit with the effects that were found
+    --plot FILE: picture  draw the error after each step
+    @ONLY_WITH_TRAIN @RECORDING @DESPITE_CHECK @JSON @HTML
+    """
     from lieid_casadi.report import diagnosis_report
 
     if args.train and args.recordings:
@@ -35,47 +56,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         html=lambda: diagnosis_report(diagnosis),
         plot=diagnosis.plot,
     )
-
-
-#: Options of a search for missing effects; what has changed is judged with the model of the fit.
-ONLY_WITH_TRAIN = (
-    options.TIP_AND_LOCK,
-    """
-    --method {ols,wls,robust} = wls  ordinary, weighted or robust least squares
-    --interactive  ask before each effect is added
-    """,
-    options.EFFECTS_BY_RECORDING,
-    options.PROCESSING,
-)
-COMMANDS = (
-    Command(
-        "diagnose",
-        "which effects are missing, or what has changed since a fit",
-        "Find the effects that a model lacks (--train; with a FIT, the search starts from the "
-        "effects of its model) or what has changed since a fit (FIT REC…).",
-        (
-            options.ROBOT_OR_FIT[0],
-            """
-            recordings [REC …]: input  with a FIT and without --train: recordings measured since the
-                fit
-            --train A …: input  recordings to fit
-            --test B …: input  recordings to test on, which are not fitted
-            --seed N: seed = 0  stated in the result; a diagnosis draws no random numbers
-            --worth PART: part  least relative fall of a joint's held-out error that is a finding;
-                default: 0.03 for missing effects, 0.1 of the error for changes since a fit
-            -o/--output fit.json: output  write the fit with the effects that were found
-            --plot FILE: picture  draw the error after each step
-            """,
-            *ONLY_WITH_TRAIN,
-            *options.RECORDING,
-            options.DESPITE_CHECK,
-            options.JSON,
-            options.HTML,
-        ),
-        run,
-        usage="lieid diagnose ROBOT|FIT --train A… [--test B…] [-o fit.json] | FIT REC…",
-    ),
-)
 
 
 def _missing(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]:
@@ -125,7 +105,7 @@ def _changed(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]
             f"{args.robot}: a fit; expected the recordings measured since (lieid diagnose FIT "
             "REC…), or --train A… for the effects that its model lacks"
         )
-    if names := options.given(ONLY_WITH_TRAIN, args):
+    if names := options.given("@ONLY_WITH_TRAIN", args):
         raise UsageError(
             f"{', '.join(names)}: without --train, model and filter are those of the fit; "
             "expected --train A… too, or the command without this option"

@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import inputs, motion_limits, options, output
+from lieid_casadi.cli import inputs, motion_limits, output
 from lieid_casadi.cli.excite import INTERRUPTED
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 from lieid_casadi.tables import Table, make_table
 
@@ -16,8 +16,27 @@ if TYPE_CHECKING:
     from lieid_casadi.discrimination import Discrimination
 
 
+@command("discriminate", "design the trajectory that separates rival effects")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Design the trajectory."""
+    """Design the trajectory that separates rival effects, and state how long it must be.
+
+    fit FIT: input  fit of the arm
+    effects EFFECT …  rival effects, such as stribeck:4; at least two
+    @FOLDER
+    --size EFFECT=V1[,V2…] repeated  coefficients and shape parameters of an effect;
+        default: fitted, or noise level
+    --recordings REC …: input  recordings from which the spectrum of the noise is estimated
+    --level P: number = 0.95  confidence level
+    --duration S: number = 10  duration of one period, s
+    --harmonics N: int = 5  harmonics of each joint
+    --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
+        within all limits
+    @LIMITS
+    --rate HZ: number = 1000  sampling rate of the files, Hz
+    --evaluations N: int = 1500  evaluations of the criterion in the search
+    --seed N: seed = 0  seed of the search
+    @RECORDING @JSON
+    """
     from lieid_casadi.discrimination import discriminate
 
     sizes = dict(_size(text) for text in args.size)
@@ -36,41 +55,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         folder=lambda: result.save(Path(args.output), force=args.force),
         status=INTERRUPTED if result.interrupted else 0,
     )
-
-
-COMMANDS = (
-    Command(
-        "discriminate",
-        "design the trajectory that separates rival effects",
-        "Design the trajectory that separates rival effects, and state how long it must be.",
-        (
-            """
-            fit FIT: input  fit of the arm
-            effects EFFECT …  rival effects, such as stribeck:4; at least two
-            """,
-            options.FOLDER,
-            """
-            --size EFFECT=V1[,V2…] repeated  coefficients and shape parameters of an effect;
-                default: fitted, or noise level
-            --recordings REC …: input  recordings from which the spectrum of the noise is estimated
-            --level P: number = 0.95  confidence level
-            --duration S: number = 10  duration of one period, s
-            --harmonics N: int = 5  harmonics of each joint
-            --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
-                within all limits
-            """,
-            motion_limits.LIMITS,
-            """
-            --rate HZ: number = 1000  sampling rate of the files, Hz
-            --evaluations N: int = 1500  evaluations of the criterion in the search
-            --seed N: seed = 0  seed of the search
-            """,
-            *options.RECORDING,
-            options.JSON,
-        ),
-        run,
-    ),
-)
 
 
 def _size(text: str) -> tuple[str, list[float]]:

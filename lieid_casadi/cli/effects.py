@@ -5,16 +5,21 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import output
+from lieid_casadi.cli.options import command
 from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.effects import Effect
 
 
+@command("effects", "the library of effects, or one effect of it")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Describe an effect, or list all."""
+    """List the library of effects, or describe one effect.
+
+    name [NAME]  effect to describe; default: list all effects
+    @EFFECTS_FILE @JSON
+    """
     from lieid_casadi.effects import make
     from lieid_casadi.effects.description import describe
     from lieid_casadi.effects.registry import REGISTER
@@ -36,21 +41,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         width = max(len(name) for name, _ in facts) + 2
         shown = "\n".join(f"{name:<{width}}{text}" for name, text in facts)
     return output.Outcome([shown], json={"effects": [_to_dict(effect) for effect in effects]})
-
-
-COMMANDS = (
-    Command(
-        "effects",
-        "the library of effects, or one effect of it",
-        "List the library of effects, or describe one effect.",
-        (
-            "name [NAME]  effect to describe; default: list all effects",
-            options.EFFECTS_FILE,
-            options.JSON,
-        ),
-        run,
-    ),
-)
 
 
 def _to_dict(effect: Effect) -> dict[str, Any]:

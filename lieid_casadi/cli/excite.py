@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import motion_limits, options, output
-from lieid_casadi.cli.options import Command, Group
+from lieid_casadi.cli import motion_limits, output
+from lieid_casadi.cli.options import command
 from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
@@ -18,8 +18,38 @@ if TYPE_CHECKING:
 INTERRUPTED = 130  # with a trajectory kept
 
 
+@command("excite", "design an optimal excitation trajectory")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Design a trajectory, or friction sweeps."""
+    """Design a trajectory from which the parameters can be identified, within the robot's limits.
+
+    @ROBOT_OR_FIT @FOLDER @EFFECTS @EFFECTS_FILE
+    --criterion NAME = combined  what is minimized: condition number with a bound on −log
+        det of the information matrix (combined) or without (condition), 1/product of the
+        column norms (hadamard), −log det (logdet)
+    --inertial-only  leave effects out of the regressor
+    @LIMITS
+    --friction-sweep JOINT …: int  write runs of these joints at constant speeds instead
+    @JSON @THREADS
+    == motion
+    --basis {fourier,modified_fourier,bspline} = fourier  functions that trajectories
+        are composed of
+    --family X removed  use --basis; spline is bspline
+    --duration S: number = 20  duration of one period, s
+    --harmonics N: int = 5  harmonics of each joint
+    --periods N: int = 1  number of periods
+    --samples N: int = 100  samples of one period in the criterion
+    --rate HZ: number = 1000  sampling rate of the files, Hz
+    --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
+        within all limits
+    == search
+    --solver X removed  Ipopt is the only solver
+    --warm-start FILE: input  trajectory (CSV with t, q1 … qn) of one period from which
+        the first search starts
+    --starts N: int = 4  number of random starts
+    --seed N: seed = 0  seed of the random starts
+    --max-iterations N: int  largest number of iterations of one start; default: no
+        limit
+    """
     from lieid_casadi.excitation import excite
 
     folder = Path(args.output)
@@ -52,60 +82,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         folder=lambda: excitation.save(folder, force=args.force),
         status=INTERRUPTED if excitation.interrupted else 0,
     )
-
-
-COMMANDS = (
-    Command(
-        "excite",
-        "design an optimal excitation trajectory",
-        "Design a trajectory from which the parameters can be identified, within the limits of "
-        "the robot.",
-        (
-            *options.ROBOT_OR_FIT,
-            options.FOLDER,
-            options.EFFECTS,
-            options.EFFECTS_FILE,
-            """
-            --criterion NAME = combined  what is minimized: condition number with a bound on −log
-                det of the information matrix (combined) or without (condition), 1/product of the
-                column norms (hadamard), −log det (logdet)
-            --inertial-only  leave effects out of the regressor
-            """,
-            Group(
-                "motion",
-                """
-                --basis {fourier,modified_fourier,bspline} = fourier  functions that trajectories
-                    are composed of
-                --family X removed  use --basis; spline is bspline
-                --duration S: number = 20  duration of one period, s
-                --harmonics N: int = 5  harmonics of each joint
-                --periods N: int = 1  number of periods
-                --samples N: int = 100  samples of one period in the criterion
-                --rate HZ: number = 1000  sampling rate of the files, Hz
-                --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
-                    within all limits
-                """,
-            ),
-            motion_limits.LIMITS,
-            Group(
-                "search",
-                """
-                --solver X removed  Ipopt is the only solver
-                --warm-start FILE: input  trajectory (CSV with t, q1 … qn) of one period from which
-                    the first search starts
-                --starts N: int = 4  number of random starts
-                --seed N: seed = 0  seed of the random starts
-                --max-iterations N: int  largest number of iterations of one start; default: no
-                    limit
-                """,
-            ),
-            "--friction-sweep JOINT …: int  write runs of these joints at constant speeds instead",
-            options.JSON,
-            options.THREADS,
-        ),
-        run,
-    ),
-)
 
 
 def _start(seed: int | None) -> str:

@@ -9,8 +9,8 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import inputs, motion_limits, options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import inputs, motion_limits, output
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import NoSolution, UsageError
 
 if TYPE_CHECKING:
@@ -19,8 +19,31 @@ if TYPE_CHECKING:
     from lieid_casadi.tables import Table
 
 
+@command(
+    "experiment",
+    "record, diagnose and design the next motion until every effect is named",
+    usage="lieid experiment ROBOT|FIT [REC…] --record 'COMMAND {trajectory} {recording}' -o DIR",
+)
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Run the experiment."""
+    """Move the robot by your command, diagnose, and design the next motion, until all is named.
+
+    The next motion separates what is still open. A second call with the same folder resumes.
+
+    @ROBOT_OR_FIT
+    recordings [REC …]: input  recordings from which to start
+    --record COMMAND required  command that runs {trajectory} (CSV) on the robot and writes
+        {recording} (CSV); split into arguments as by a shell, but run without one
+    -o/--output DIR: resumed required  folder of the experiment
+    --most N: int = 5  recordings at most
+    --yes  run every motion without a question
+    --longest S: number = 20  length of a motion, s
+    --probe S: number = 3  length of the probe motion at the start of each, s; 0 for none
+    --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
+        within all limits
+    --rate HZ: number = 1000  sampling rate of the trajectories, Hz
+    --seed N: seed = 0  seed of the searches for motions
+    @LIMITS @EFFECTS_BY_RECORDING @RECORDING @DESPITE_CHECK @JSON @HTML
+    """
     from lieid_casadi.experiments import experiment
     from lieid_casadi.experiments.record import RecordCommand
     from lieid_casadi.identification import Fit
@@ -58,42 +81,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     return output.Outcome(
         tuple(shown(result)), json=result.to_dict(), html=lambda: experiment_report(result)
     )
-
-
-COMMANDS = (
-    Command(
-        "experiment",
-        "record, diagnose and design the next motion until every effect is named",
-        "Move the robot by your command, diagnose, and design the motion that separates what is "
-        "still open, until every effect is named. A second call with the same folder resumes.",
-        (
-            *options.ROBOT_OR_FIT,
-            """
-            recordings [REC …]: input  recordings from which to start
-            --record COMMAND required  command that runs {trajectory} (CSV) on the robot and writes
-                {recording} (CSV); split into arguments as by a shell, but run without one
-            -o/--output DIR: resumed required  folder of the experiment
-            --most N: int = 5  recordings at most
-            --yes  run every motion without a question
-            --longest S: number = 20  length of a motion, s
-            --probe S: number = 3  length of the probe motion at the start of each, s; 0 for none
-            --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
-                within all limits
-            --rate HZ: number = 1000  sampling rate of the trajectories, Hz
-            --seed N: seed = 0  seed of the searches for motions
-            """,
-            motion_limits.LIMITS,
-            options.EFFECTS_BY_RECORDING,
-            *options.RECORDING,
-            options.DESPITE_CHECK,
-            options.JSON,
-            options.HTML,
-        ),
-        run,
-        usage="lieid experiment ROBOT|FIT [REC…] --record 'COMMAND {trajectory} {recording}' "
-        "-o DIR",
-    ),
-)
 
 
 def _silent(stage: str, fraction: float) -> None:

@@ -4,13 +4,29 @@ from __future__ import annotations
 
 import argparse
 
-from lieid_casadi.cli import options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import output
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 
 
+@command("export", "write a fit as C code, as a URDF or as a MuJoCo model")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Write the files and print notes on their use."""
+    """Write a fit as C code for a controller, or as a URDF or a MuJoCo model for simulators.
+
+    fit FIT: input  fit to export
+    --to {c,urdf,mjcf,isaaclab,ur-friction} required  C99 code, URDF, MuJoCo model,
+        actuators of Isaac Lab and mjlab, friction of UR's driver
+    @FOLDER
+    --prefix NAME  prefix of all C names; default: arm
+    --functions NAME,NAME…  C functions to write, such as torque,mass_matrix; default: all
+        that the fit has
+    --runtime NAME,NAME…  numbers that are arguments of the C functions: payload,
+        parameters; default: none
+    --float32  C in single precision
+    --compensated FIT2: input  for ur-friction: fit of motion under direct torque with the
+        default scales
+    @EFFECTS_FILE
+    """
     from lieid_casadi.exporters.export import export
     from lieid_casadi.identification import Fit
 
@@ -35,32 +51,3 @@ def run(args: argparse.Namespace) -> output.Outcome:
     )
     written = f"{', '.join(path.name for path in made.files)} written to {args.output}"
     return output.Outcome([written, *(f"  ! {note}" for note in made.notes)])
-
-
-COMMANDS = (
-    Command(
-        "export",
-        "write a fit as C code, as a URDF or as a MuJoCo model",
-        "Write a fit as C code for a controller, or as a URDF or a MuJoCo model for simulators.",
-        (
-            """
-            fit FIT: input  fit to export
-            --to {c,urdf,mjcf,isaaclab,ur-friction} required  C99 code, URDF, MuJoCo model,
-                actuators of Isaac Lab and mjlab, friction of UR's driver
-            """,
-            options.FOLDER,
-            """
-            --prefix NAME  prefix of all C names; default: arm
-            --functions NAME,NAME…  C functions to write, such as torque,mass_matrix; default: all
-                that the fit has
-            --runtime NAME,NAME…  numbers that are arguments of the C functions: payload,
-                parameters; default: none
-            --float32  C in single precision
-            --compensated FIT2: input  for ur-friction: fit of motion under direct torque with the
-                default scales
-            """,
-            options.EFFECTS_FILE,
-        ),
-        run,
-    ),
-)

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 import argparse
 
-from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import inputs, output
+from lieid_casadi.cli.options import command
 
 
+@command("extend", "add an effect, fit again, compare the errors")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Fit again."""
+    """Add effects to a fit, fit again, and compare the errors before and after.
+
+    fit FIT: input  fit to extend
+    --add A,B:2+3,… required  effects to add
+    --train A …: input required  recordings to fit
+    --test B …: input  recordings to test on, which are not fitted
+    -o/--output fit2.json: output  write the new fit
+    --plot FILE: picture  draw the errors before and after
+    @RECORDING @JSON @HTML
+    """
     from lieid_casadi.diagnosis.extend import extend
     from lieid_casadi.report.reports import extension_report, extension_tables
 
@@ -24,26 +34,3 @@ def run(args: argparse.Namespace) -> output.Outcome:
         html=lambda: extension_report(extension),
         plot=extension.plot,
     )
-
-
-COMMANDS = (
-    Command(
-        "extend",
-        "add an effect, fit again, compare the errors",
-        "Add effects to a fit, fit again, and compare the errors before and after.",
-        (
-            """
-            fit FIT: input  fit to extend
-            --add A,B:2+3,… required  effects to add
-            --train A …: input required  recordings to fit
-            --test B …: input  recordings to test on, which are not fitted
-            -o/--output fit2.json: output  write the new fit
-            --plot FILE: picture  draw the errors before and after
-            """,
-            *options.RECORDING,
-            options.JSON,
-            options.HTML,
-        ),
-        run,
-    ),
-)

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import options, output
+from lieid_casadi.cli import output
 from lieid_casadi.cli.check import WRONG
-from lieid_casadi.cli.options import Command, Group
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -24,8 +24,38 @@ NEW_ALARM, SILENT, BOTH = 5, 6, 7  # exit status with --exit-code
 MOST_SHOWN = 10  # faults and silent arms that are printed; the history has all
 
 
+@command(
+    "fleet",
+    "diagnose the recordings of many arms, every night",
+    usage="lieid fleet FLEET.yaml -o HISTORY.duckdb [--scheduler ADDRESS] [--since DATE]",
+)
 def run(args: argparse.Namespace) -> int:
-    """Run the arm-nights that the history does not have; return the exit status."""
+    """Diagnose the recordings of many arms, and keep the results in a history.
+
+    It runs on this machine or a Dask cluster. See also: lieid fleet report, lieid fleet export,
+    lieid fleet acknowledge.
+
+    fleet FLEET.yaml  fleet file
+    == diagnosis of recordings
+    -o/--output HISTORY: output  history (DuckDB) to add to
+    --scheduler ADDRESS  Dask scheduler; default: a cluster on this machine
+    --workers N: int  processes on this machine; default: one per core
+    --memory SIZE = 2GB  limit of each process
+    --timeout S: number = 600  seconds after which an arm-night has failed
+    --since DATE: night  first night to run, such as 2026-11-20
+    --keep DAYS: int  remove runs of nights that are older than this, after the run;
+        alarms are kept
+    --night DATE: night  newest night on which every arm is expected to have recorded;
+        default: yesterday, UTC
+    --rerun  compute results of an earlier method of diagnosis again
+    --wait S: number = 0  seconds to wait for a run that has the history open
+    --exit-code  exit with status 5 if a new alarm was raised, 6 if the newest night of
+        an arm is missing, refused or failed, 7 if both
+    --most-failed N: int = 0  arms that may be so without status 6
+    --on-alarm COMMAND  shell command that gets a line of JSON on its standard input for
+        each alarm that is new, or worse: twice as large, or near its limit
+    --horizon DAYS: int = 30  time before a limit is reached that is near
+    """
     from lieid_casadi.fleet.alarms import alarms_to_report, evidence, read_alarms
     from lieid_casadi.fleet.cluster import RunOptions
     from lieid_casadi.fleet.config import read_fleet
@@ -139,8 +169,15 @@ def _state(state: FleetProgress) -> str:
     )
 
 
+@command("fleet report", "alarms and trends of a fleet")
 def report(args: argparse.Namespace) -> output.Outcome:
-    """Print the open alarms and write the report."""
+    """Print the open alarms of a fleet and write a self-contained report with trends of every arm.
+
+    @HISTORY
+    --html FILE: output  write the report
+    --since DATE: night  first night of trends and recordings
+    --json FILE: output  write the alarms as JSON
+    """
     from lieid_casadi.fleet.alarms import evidence, read_alarms, suggested_action
     from lieid_casadi.fleet.fleet_report import alarm_table, fleet_report
     from lieid_casadi.fleet.history import History
@@ -164,8 +201,18 @@ def report(args: argparse.Namespace) -> output.Outcome:
     return output.Outcome(shown, json=content, html=lambda: page)
 
 
+@command("fleet check", "whether a fleet file is plausible")
 def check(args: argparse.Namespace) -> output.Outcome:
-    """Check a fleet file before its first night."""
+    """Check a fleet file before its first night.
+
+    That is: its entries (units of payloads and torque constants, recordings of two arms, files that
+    no worker sees), and the premises of every arm on its newest recording. Exit status 4 if
+    something is certainly wrong.
+
+    fleet FLEET.yaml  fleet file
+    --scheduler ADDRESS  Dask scheduler, whose workers must see the recordings
+    @JSON
+    """
     from lieid_casadi.fleet.cluster import RunOptions, dask_client
     from lieid_casadi.fleet.config import read_fleet
     from lieid_casadi.fleet.fleet_check import Unseen, check_fleet, check_table, missing_files
@@ -189,8 +236,17 @@ def check(args: argparse.Namespace) -> output.Outcome:
     )
 
 
+@command("fleet export", "a fleet's state for Prometheus, its history as Parquet")
 def export(args: argparse.Namespace) -> output.Outcome:
-    """Write the requested files."""
+    """Write the state of a fleet for Prometheus, or its history as Parquet files.
+
+    The metrics are in the text format of node-exporter's textfile collector.
+
+    @HISTORY
+    --prometheus FILE.prom: output  write metrics to this file
+    --parquet DIR: folder  write one file per table
+    @FORCE
+    """
     from lieid_casadi.fleet.history import History
     from lieid_casadi.fleet.prometheus import prometheus_text
     from lieid_casadi.output_folder import output_folder
@@ -205,8 +261,20 @@ def export(args: argparse.Namespace) -> output.Outcome:
     return output.Outcome(files={"prometheus": lambda: metrics})
 
 
+@command("fleet acknowledge", "close alarms of an arm after a repair")
 def acknowledge(args: argparse.Namespace) -> output.Outcome:
-    """Close alarms and say how many; of a change that lasts, write or ask for a new fit."""
+    """Close the open alarms of an arm and start a new baseline.
+
+    Nights after the repair are judged against each other, not against those before it.
+
+    @CHANGED_HISTORY
+    --joint J: int  only alarms and baselines of this joint, from 1
+    --note TEXT required  what was found or done
+    --date DATE: night  last night before the repair; default: the arm's last night in the
+        history
+    --refit FLEET.yaml  the change lasts: estimate the changed coefficients again from the
+        nights since, and write a fit beside the present one
+    """
     from lieid_casadi.fleet.alarms import acknowledge, open_alarms, refit_advice
     from lieid_casadi.fleet.config import read_fleet
     from lieid_casadi.fleet.history import History
@@ -233,8 +301,13 @@ def acknowledge(args: argparse.Namespace) -> output.Outcome:
     return output.Outcome([text.rstrip()])
 
 
+@command("fleet backup", "one complete copy of a history")
 def backup(args: argparse.Namespace) -> output.Outcome:
-    """Copy the history."""
+    """Write one file with everything that a history contains, also while a run is in progress.
+
+    @HISTORY
+    copy COPY: output  file to write
+    """
     from lieid_casadi.fleet.history import backup
 
     is_of_now = backup(args.history, args.copy)
@@ -242,8 +315,13 @@ def backup(args: argparse.Namespace) -> output.Outcome:
     return output.Outcome([f"{args.copy}: a complete copy{when}."])
 
 
+@command("fleet retire", "take an arm out of service")
 def retire(args: argparse.Namespace) -> output.Outcome:
-    """Take an arm out of service."""
+    """Take an arm out of reports, metrics and expected nights, and close its alarms.
+
+    @CHANGED_HISTORY
+    --date DATE: night  day; default: today, UTC
+    """
     from lieid_casadi.fleet.alarms import retire
     from lieid_casadi.fleet.history import History
 
@@ -255,121 +333,3 @@ def retire(args: argparse.Namespace) -> output.Outcome:
             "are kept. Remove it from the fleet file, too: an arm of the file is in service."
         ]
     )
-
-
-HISTORY = "history HISTORY: input  history (DuckDB)"
-CHANGED = "history HISTORY  history (DuckDB) to change\nserial SERIAL  serial number of the arm"
-WAIT = "--wait S: number = 0  seconds to wait for a run that has the history open"
-COMMANDS = (
-    Command(
-        "fleet",
-        "diagnose the recordings of many arms, every night",
-        "Diagnose the recordings of many arms, on this machine or a Dask cluster, and keep the "
-        "results in a history. See also: lieid fleet report, lieid fleet export, lieid fleet "
-        "acknowledge.",
-        (
-            "fleet FLEET.yaml  fleet file",
-            Group(
-                "diagnosis of recordings",
-                """
-                -o/--output HISTORY: output  history (DuckDB) to add to
-                --scheduler ADDRESS  Dask scheduler; default: a cluster on this machine
-                --workers N: int  processes on this machine; default: one per core
-                --memory SIZE = 2GB  limit of each process
-                --timeout S: number = 600  seconds after which an arm-night has failed
-                --since DATE: night  first night to run, such as 2026-11-20
-                --keep DAYS: int  remove runs of nights that are older than this, after the run;
-                    alarms are kept
-                --night DATE: night  newest night on which every arm is expected to have recorded;
-                    default: yesterday, UTC
-                --rerun  compute results of an earlier method of diagnosis again
-                --wait S: number = 0  seconds to wait for a run that has the history open
-                --exit-code  exit with status 5 if a new alarm was raised, 6 if the newest night of
-                    an arm is missing, refused or failed, 7 if both
-                --most-failed N: int = 0  arms that may be so without status 6
-                --on-alarm COMMAND  shell command that gets a line of JSON on its standard input for
-                    each alarm that is new, or worse: twice as large, or near its limit
-                --horizon DAYS: int = 30  time before a limit is reached that is near
-                """,
-            ),
-        ),
-        run,
-        usage="lieid fleet FLEET.yaml -o HISTORY.duckdb [--scheduler ADDRESS] [--since DATE]",
-    ),
-    Command(
-        "fleet check",
-        "whether a fleet file is plausible",
-        "Check the entries of a fleet file (units of payloads and torque constants, recordings of "
-        "two arms, files that no worker sees), and the premises of every arm on its newest "
-        "recording. Exit status 4 if something is certainly wrong.",
-        (
-            "fleet FLEET.yaml  fleet file",
-            "--scheduler ADDRESS  Dask scheduler, whose workers must see the recordings",
-            options.JSON,
-        ),
-        check,
-    ),
-    Command(
-        "fleet report",
-        "alarms and trends of a fleet",
-        "Print the open alarms of a fleet and write a self-contained report with trends of every "
-        "arm.",
-        (
-            HISTORY,
-            """
-            --html FILE: output  write the report
-            --since DATE: night  first night of trends and recordings
-            --json FILE: output  write the alarms as JSON
-            """,
-        ),
-        report,
-    ),
-    Command(
-        "fleet export",
-        "a fleet's state for Prometheus, its history as Parquet",
-        "Write the state of a fleet in the text format of node-exporter's textfile collector, or "
-        "the tables of its history as Parquet files.",
-        (
-            HISTORY,
-            """
-            --prometheus FILE.prom: output  write metrics to this file
-            --parquet DIR: folder  write one file per table
-            """,
-            options.FORCE,
-        ),
-        export,
-    ),
-    Command(
-        "fleet acknowledge",
-        "close alarms of an arm after a repair",
-        "Close the open alarms of an arm and start a new baseline: nights after the repair are "
-        "judged against each other, not against those before it.",
-        (
-            CHANGED,
-            """
-            --joint J: int  only alarms and baselines of this joint, from 1
-            --note TEXT required  what was found or done
-            --date DATE: night  last night before the repair; default: the arm's last night in the
-                history
-            --refit FLEET.yaml  the change lasts: estimate the changed coefficients again from the
-                nights since, and write a fit beside the present one
-            """,
-            WAIT,
-        ),
-        acknowledge,
-    ),
-    Command(
-        "fleet backup",
-        "one complete copy of a history",
-        "Write one file with everything that a history contains, also while a run is in progress.",
-        (HISTORY, "copy COPY: output  file to write"),
-        backup,
-    ),
-    Command(
-        "fleet retire",
-        "take an arm out of service",
-        "Take an arm out of reports, metrics and expected nights, and close its alarms.",
-        (CHANGED, "--date DATE: night  day; default: today, UTC", WAIT),
-        retire,
-    ),
-)

@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import inputs, output
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -17,8 +17,26 @@ if TYPE_CHECKING:
     from lieid_casadi.robot import Robot
 
 
+@command("friction", "friction of one joint from its motion in both directions")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Extract the curve and fit friction models."""
+    """Determine the friction of one joint from its motion in both directions.
+
+    Friction models are fitted to it.
+
+    @ROBOT
+    recordings REC …: input  recordings in which the joint moves in both directions
+    --joint J: int required  number of the joint, from 1
+    --effects A,B,…  friction model: effects, or the name of a model such as paper; default:
+        all models of the literature are fitted and ranked
+    --fit FIT: input  fit of the whole arm: its rigid torque is used, and its friction is
+        compared
+    --load {model,measured}  source of the load torque; default: model
+    --plot FILE: picture  draw the curve and the fit
+    --seed N: seed = 0  seed of the search
+    @RECORDING
+    --cutoff HZ: number  cut-off frequency of the low-pass filter
+    @JSON
+    """
     from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve
     from lieid_casadi.friction_curves.curve import curve_table
     from lieid_casadi.friction_curves.friction_fit import (
@@ -61,34 +79,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         json=content(fit, ranked, agreement),
         plot=fit.plot,
     )
-
-
-COMMANDS = (
-    Command(
-        "friction",
-        "friction of one joint from its motion in both directions",
-        "Determine the friction of one joint from its motion in both directions, and fit friction "
-        "models.",
-        (
-            *options.ROBOT,
-            """
-            recordings REC …: input  recordings in which the joint moves in both directions
-            --joint J: int required  number of the joint, from 1
-            --effects A,B,…  friction model: effects, or the name of a model such as paper; default:
-                all models of the literature are fitted and ranked
-            --fit FIT: input  fit of the whole arm: its rigid torque is used, and its friction is
-                compared
-            --load {model,measured}  source of the load torque; default: model
-            --plot FILE: picture  draw the curve and the fit
-            --seed N: seed = 0  seed of the search
-            """,
-            *options.RECORDING,
-            "--cutoff HZ: number  cut-off frequency of the low-pass filter",
-            options.JSON,
-        ),
-        run,
-    ),
-)
 
 
 def content(

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import inputs, output
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import LieidWarning, UsageError
 
 if TYPE_CHECKING:
@@ -14,8 +14,20 @@ if TYPE_CHECKING:
     from lieid_casadi.tables import Table
 
 
+@command("gains", "drive gains in N·m/A, from currents and a payload of known mass")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Identify the gains."""
+    """Determine drive gains in N·m/A from motor currents with and without a known payload.
+
+    @ROBOT
+    --unloaded REC …: input required  recordings of currents without the payload
+    --loaded REC …: input required  recordings of currents with the payload
+    --mass KG: number required  mass of the payload
+    --com X Y Z: number  the payload's centre of mass in the tool frame, m, if it was
+        measured
+    --yaml FILE: output  write the robot with its torque constants
+    --plot FILE: picture  draw the gains
+    @EFFECTS @EFFECTS_FILE @READING @PROCESSING @JSON @THREADS
+    """
     from lieid_casadi.gains import drive_gains
     from lieid_casadi.robot.yaml_file import write_yaml
 
@@ -39,35 +51,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         plot=gains.plot,
         files={"yaml": lambda: write_yaml(gains.robot_with_gains()).encode()},
     )
-
-
-COMMANDS = (
-    Command(
-        "gains",
-        "drive gains in N·m/A, from currents and a payload of known mass",
-        "Determine the drive gains in N·m/A from motor currents with and without a payload of "
-        "known mass.",
-        (
-            *options.ROBOT,
-            """
-            --unloaded REC …: input required  recordings of currents without the payload
-            --loaded REC …: input required  recordings of currents with the payload
-            --mass KG: number required  mass of the payload
-            --com X Y Z: number  the payload's centre of mass in the tool frame, m, if it was
-                measured
-            --yaml FILE: output  write the robot with its torque constants
-            --plot FILE: picture  draw the gains
-            """,
-            options.EFFECTS,
-            options.EFFECTS_FILE,
-            *options.READING,
-            options.PROCESSING,
-            options.JSON,
-            options.THREADS,
-        ),
-        run,
-    ),
-)
 
 
 def shown(gains: DriveGains) -> tuple[str | Table | LieidWarning, ...]:

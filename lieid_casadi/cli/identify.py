@@ -7,9 +7,9 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
-from lieid_casadi.cli.options import Command, Group
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import LieidWarning, UsageError
 from lieid_casadi.tables import Table, make_table
 
@@ -21,8 +21,34 @@ if TYPE_CHECKING:
     from lieid_casadi.recording import Recording
 
 
+@command("identify", "fit a model to recordings")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Fit, and compare with the test recordings."""
+    """Identify the base parameters and the effects of a model from recordings.
+
+    @ROBOT
+    train TRAIN …: input  recording to fit; REC@T0:T1 is the part from T0 to T1 seconds
+    --test T …: input  recordings to test on, which are not fitted
+    --method {ols,wls,robust,feasible} = wls  ordinary, weighted or robust least squares, or
+        weighted least squares with physically consistent masses and inertias (feasible)
+    --polish  refine the effects so that the simulated motion under commands is that of
+        TRAIN (--method feasible, drives); takes a minute
+    -o/--output fit.json: output  write the fit
+    @EFFECTS_BY_RECORDING @RECORDING
+    --known-mass LINK=KG …: mass  masses of links that determine an unknown stiffness
+        (--stiffness unknown)
+    @PROCESSING @DESPITE_CHECK @JSON @HTML
+    == identification in stages
+        With --friction-runs, TRAIN identifies the links, the friction runs of single joints
+        identify friction over speed and load, and TRAIN identifies the links and the friction
+        that grows with speed again (Luo et al. 2024, Eqs. 11 to 16, and a third stage).
+    --friction-runs J=REC …: run  recordings in which joint J moves forward and backward and the
+        others stand still
+    --friction-effects A,B,… = paper  friction model of these joints: effects, or the name of a
+        model
+    --friction-load {model,measured}  source of the load torque of the friction runs; measured for
+        runs with a payload; default: model
+    --no-refit  leave out the third stage, as the paper does
+    """
     from lieid_casadi.comparison import compare
     from lieid_casadi.identification import identify
     from lieid_casadi.identification.known_mass import identify_with_known_masses
@@ -66,54 +92,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         json=found,
         html=lambda: fit_report(fit) if comparison is None else comparison_report(fit, comparison),
     )
-
-
-STAGES = Group(
-    "identification in stages",
-    """
-    --friction-runs J=REC …: run  recordings in which joint J moves forward and backward and the
-        others stand still
-    --friction-effects A,B,… = paper  friction model of these joints: effects, or the name of a
-        model
-    --friction-load {model,measured}  source of the load torque of the friction runs; measured for
-        runs with a payload; default: model
-    --no-refit  leave out the third stage, as the paper does
-    """,
-    "With --friction-runs, TRAIN identifies the links, the friction runs of single joints identify "
-    "friction over speed and load, and TRAIN identifies the links and the friction that grows with "
-    "speed again (Luo et al. 2024, Eqs. 11 to 16, and a third stage).",
-)
-COMMANDS = (
-    Command(
-        "identify",
-        "fit a model to recordings",
-        "Identify the base parameters and the effects of a model from recordings.",
-        (
-            *options.ROBOT,
-            """
-            train TRAIN …: input  recording to fit; REC@T0:T1 is the part from T0 to T1 seconds
-            --test T …: input  recordings to test on, which are not fitted
-            --method {ols,wls,robust,feasible} = wls  ordinary, weighted or robust least squares, or
-                weighted least squares with physically consistent masses and inertias (feasible)
-            --polish  refine the effects so that the simulated motion under commands is that of
-                TRAIN (--method feasible, drives); takes a minute
-            -o/--output fit.json: output  write the fit
-            """,
-            options.EFFECTS_BY_RECORDING,
-            STAGES,
-            *options.RECORDING,
-            """
-            --known-mass LINK=KG …: mass  masses of links that determine an unknown stiffness
-                (--stiffness unknown)
-            """,
-            options.PROCESSING,
-            options.DESPITE_CHECK,
-            options.JSON,
-            options.HTML,
-        ),
-        run,
-    ),
-)
 
 
 def _polished(fit: Fit, train: Sequence[Recording]) -> tuple[Fit, str]:

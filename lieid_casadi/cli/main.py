@@ -16,12 +16,12 @@ from typing import NoReturn
 from lieid_casadi import __version__
 from lieid_casadi.cli import effects_file
 from lieid_casadi.cli.option_types import check_paths, writes_to_stdout
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli.options import COMMANDS, Command
 from lieid_casadi.cli.output import Outcome, visible
 from lieid_casadi.errors import LieidError, NoSolution, PremiseError, UsageError
 
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, WRONG_PREMISE, INTERRUPTED = 0, 1, 2, 3, 4, 130
-COMMANDS = (
+MODULES = (
     "demo", "show", "excite", "check", "identify", "predict", "compare", "friction", "diagnose",
     "extend", "discriminate", "experiment", "payload", "gains", "simulate", "sample", "export",
     "effects", "workbench", "fleet",
@@ -46,15 +46,16 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"lieid {__version__}")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for command in _commands():
-        command.add_to(commands)
+    for name, command in _commands().items():
+        command.add_to(name, commands)
     return parser
 
 
-def _commands() -> list[Command]:
-    """Return the commands of all modules."""
-    modules = [importlib.import_module(f"lieid_casadi.cli.{name}") for name in COMMANDS]
-    return [command for module in modules for command in module.COMMANDS]
+def _commands() -> dict[str, Command]:
+    """Return the commands of all modules by their names."""
+    for name in MODULES:
+        importlib.import_module(f"lieid_casadi.cli.{name}")
+    return COMMANDS
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -143,7 +144,7 @@ def _joined(words: Sequence[str]) -> list[str]:
     """Return the words with the name of a command of two words, ``fleet report``, as one."""
     first = next((k for k, word in enumerate(words) if not word.startswith("-")), len(words))
     name = " ".join(words[first : first + 2])
-    if " " not in name or name not in {command.name for command in _commands()}:
+    if " " not in name or name not in _commands():
         return list(words)
     return [*words[:first], name, *words[first + 2 :]]
 

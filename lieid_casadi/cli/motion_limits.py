@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs
-from lieid_casadi.cli.options import EFFECTS, TIP_AND_LOCK, Group, given
+from lieid_casadi.cli.options import given
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -14,28 +14,6 @@ if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
     from lieid_casadi.robot import Robot
-
-#: The defaults are those of `default_limits`.
-LIMITS = Group(
-    "limits in addition to those of position and velocity",
-    """
-    --acceleration A …: number  acceleration limits, rad/s², one or one per joint; default: the
-        robot's, or 3
-    --jerk J …: number  jerk limits, rad/s³, one or one per joint; default: none
-    --margin F: number = 0.8  fraction of the velocity and torque limits that is used
-    --torque-fraction X removed  use --margin, for velocity and torque limits
-    --no-torque  do not check torque limits
-    --cartesian-speed M/S: number = 1.5  highest speed of the tool and of the joint centres, m/s
-    --floor [Z]: height = 0  height of the floor in the base frame, m, or none
-    --unchecked-workspace  do not check floor, self-collision and tool speed
-    --wall NX NY NZ D: number repeated  keep the arm where n·x ≤ d, base frame, m
-    --workspace-box X0 Y0 Z0 X1 Y1 Z1: number repeated  keep the arm inside this box, base frame, m
-    --obstacle X0 Y0 Z0 X1 Y1 Z1: number repeated  keep the arm outside this box, base frame, m
-    --self-collision [M]: number = 0.02  least distance between links, m
-    --capsules FILE: input  YAML file with capsules around the links; default: fitted to their
-        geometry
-    """,
-)
 
 
 def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
@@ -82,7 +60,7 @@ def arm_of(args: argparse.Namespace) -> tuple[Model | Fit, Robot]:
         return model, model.robot
     from lieid_casadi.identification import Fit
 
-    if names := given([EFFECTS, TIP_AND_LOCK], args):
+    if names := given("@EFFECTS @TIP_AND_LOCK", args):
         raise UsageError(f"{next(iter(names))}: a fit ({args.robot}) has its own robot and effects")
     fit = Fit.load(args.robot)
     return fit, fit.model.robot

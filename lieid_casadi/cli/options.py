@@ -1,26 +1,30 @@
-"""Options as data: the text that states them, and the options that several commands share.
+"""Options as data: the notation that states them, and the options that several commands share.
 
-A command states its options as its help shows them, one after the other::
+The last paragraph of a command's docstring states its options as its help shows them::
 
     train TRAIN …: input  recording to fit
     -o/--output fit.json: output  write the fit
     --method {ols,wls,robust} = wls  ordinary, weighted or robust least squares
     --joint J: int required  number of the joint, from 1
     --no-refit  leave out the third stage
+    @RECORDING @JSON
+    == title of a group of options
+        what the group is for
+    --starts N: int = 4  number of random starts
 
 that is: names; the value, or ``VALUE …`` (one or more), ``[VALUE]`` (may be left out),
 ``[VALUE …]``, ``X Y Z`` (three), or choices in braces; its kind of `KINDS` (default: text); its
 default; and two spaces before the text, which goes on in indented lines. ``repeated`` options may
 be given several times, ``removed`` ones are refused with the text as advice. An option without
-value is a switch.
+value is a switch. ``@NAME`` are shared options of `SHARED`.
 """
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
-import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -31,47 +35,47 @@ NOTATION = re.compile(
     r"(?P<names>\S+)(?P<values>(?: \S+?)*?)(?:: (?P<kind>\w+))?(?: = (?P<default>\S+))?"
     r"(?: (?P<rule>required|repeated|removed))?"
 )
-
-
-@dataclass(frozen=True)
-class Group:
-    """Options under a title of their own in the help."""
-
-    title: str
-    options: str
-    about: str | None = None
+#: The commands by their names, in the order of the modules that define them.
+COMMANDS: dict[str, Command] = {}
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command of ``lieid``: its words in the help, its options, and the function that runs it."""
+    """A command of ``lieid``: its line in the list of commands, and the function that runs it.
 
-    name: str
+    The function's docstring describes it; the last paragraph states its options.
+    """
+
     help: str
-    description: str
-    options: tuple[str | Group, ...]
     run: Callable[[argparse.Namespace], Any]
     usage: str | None = None
 
-    def add_to(self, commands: Any) -> None:
+    def add_to(self, name: str, commands: Any) -> None:
         """Add the parser of this command to the subparsers of ``lieid``."""
-        parser = commands.add_parser(
-            self.name, help=self.help, description=self.description, usage=self.usage
-        )
-        for item in self.options:
-            if isinstance(item, Group):
-                group = parser.add_argument_group(item.title, item.about)
-                _add(group, item.options)
-            else:
-                _add(parser, item)
+        description, _, options = inspect.getdoc(self.run).rpartition("\n\n")  # type: ignore[union-attr]
+        words = " ".join(description.split())
+        parser = commands.add_parser(name, help=self.help, description=words, usage=self.usage)
+        _add(parser, options)
         parser.set_defaults(run=self.run)
 
 
-def given(items: Sequence[str | Group], args: argparse.Namespace) -> dict[str, Any]:
+Run = Callable[[argparse.Namespace], Any]
+
+
+def command(name: str, help: str, *, usage: str | None = None) -> Callable[[Run], Run]:
+    """Make a function a command of ``lieid``."""
+
+    def registered(run: Run) -> Run:
+        COMMANDS[name] = Command(help, run, usage)
+        return run
+
+    return registered
+
+
+def given(options: str, args: argparse.Namespace) -> dict[str, Any]:
     """Return those options, as written, whose values are not their defaults, and the values."""
     parser = argparse.ArgumentParser()
-    for item in items:
-        _add(parser, item.options if isinstance(item, Group) else item)
+    _add(parser, options)
     return {
         f"--{name.replace('_', '-')}": value
         for name, default in vars(parser.parse_args([])).items()
@@ -80,14 +84,20 @@ def given(items: Sequence[str | Group], args: argparse.Namespace) -> dict[str, A
 
 
 def _add(parser: Any, text: str) -> None:
-    """Add the options of a text to a parser or group."""
-    for entry in re.split(r"\n(?=\S)", textwrap.dedent(text).strip()):
-        notation, words = re.split(r" {2,}|\n\s*", entry, maxsplit=1)
-        match = NOTATION.fullmatch(notation)
-        if match is None:
+    """Add the options of a text to a parser."""
+    group = parser
+    for entry in re.split(r"\n(?=\S)", inspect.cleandoc(text)):
+        notation, *more = re.split(r" {2,}|\n\s*", entry, maxsplit=1)
+        words = " ".join(" ".join(more).split())
+        if entry.startswith("@"):
+            for name in entry.split():
+                _add(parser, SHARED[name.removeprefix("@")])
+        elif entry.startswith("== "):
+            group = parser.add_argument_group(notation.removeprefix("== "), words or None)
+        elif (match := NOTATION.fullmatch(notation)) and words:
+            group.add_argument(*match["names"].split("/"), **_settings(match, words))
+        else:
             raise ValueError(f"option {notation!r}: expected NAMES VALUE: KIND = DEFAULT")
-        names = match["names"].split("/")
-        parser.add_argument(*names, **_settings(match, " ".join(words.split())))
 
 
 def _settings(match: re.Match[str], words: str) -> dict[str, Any]:
@@ -143,46 +153,55 @@ def _refused(advice: str) -> Callable[[str], NoReturn]:
     return refuse
 
 
-# Robots, fits and recordings.
-
-TIP_AND_LOCK = """
+SHARED = {
+    "ROBOT": """
+    robot ROBOT: input  URDF, MJCF or YAML file, or a bundled name; the robot of a fit (JSON)
+    @TIP_AND_LOCK
+    """,
+    "ROBOT_OR_FIT": """
+    robot ROBOT|FIT: input  URDF, MJCF or YAML file, or a bundled name, or a fit (JSON)
+    @TIP_AND_LOCK
+    """,
+    "TIP_AND_LOCK": """
     --tip LINK  last link of the chain (URDF, MJCF)
     --lock JOINT …  joints to lock
-"""
-ROBOT = (
-    "robot ROBOT: input  URDF, MJCF or YAML file, or a bundled name; the robot of a fit (JSON)",
-    TIP_AND_LOCK,
-)
-ROBOT_OR_FIT = (
-    "robot ROBOT|FIT: input  URDF, MJCF or YAML file, or a bundled name, or a fit (JSON)",
-    TIP_AND_LOCK,
-)
-EFFECTS_FILE = (
-    "--effects-file F.py: input  Python file that registers your own effects; it is executed"
-)
-THREADS = "--threads N: int  threads to use; default: 2"
-DRIVES = Group(
-    "position-controlled drives",
-    """
+    """,
+    "EFFECTS_FILE": """
+    --effects-file F.py: input  Python file that registers your own effects; it is executed
+    """,
+    "THREADS": "--threads N: int  threads to use; default: 2",
+    # what every command has that computes torques along recordings
+    "RECORDING": """
+    --torque-constants K1,…,Kn  torque constants, N·m/A, for recordings with currents i1…in
+    @DRIVES @READING @EFFECTS_FILE @THREADS
+    """,
+    # what every command has that reads recordings, whatever it takes as torque
+    "READING": """
+    --units UNIT[,UNIT] = ''  units of the recordings that are not SI: deg, and ms, us or ns
+    --columns NAME=COLUMN,…  columns of other names than those of the file format, such as
+        t=stamp,q=pos_*,tau1=effort
+    --inflate-limit MIB: number  size that a compressed recording may inflate to; default: 1024
+    @DATASETS @CORRECTIONS
+    """,
+    "DRIVES": """
+    == position-controlled drives
+        Torque of recordings with commanded positions qcmd1…qcmdn and without tau:
+        K·(qcmd − q) − D·dq, limited by the robot's torque limits.
     --stiffness K1,…,Kn  N·m/rad per joint, or one number for all; unknown: torques in units of K
     --damping D1,…,Dn  N·m·s/rad per joint, or one number for all (s if the stiffness is unknown);
         default: 0
     --servo NAME[,…]  preset of a servo, such as sts3215, for all or each
     """,
-    "Torque of recordings with commanded positions qcmd1…qcmdn and without tau: "
-    "K·(qcmd − q) − D·dq, limited by the robot's torque limits.",
-)
-DATASETS = Group(
-    "LeRobot datasets",
-    """
+    "DATASETS": """
+    == LeRobot datasets
     --episodes A:B  episodes A to B − 1, counted from 0; default: all
     --calibration FILE|limits: calibration  LeRobot's calibration file, or limits: normalised ranges
         end at the position limits
     """,
-)
-CORRECTIONS = Group(
-    "what corrects a recording or the mounting",
-    """
+    "CORRECTIONS": """
+    == what corrects a recording or the mounting
+        `lieid check` tests what these options correct, and prints them. They are stored in a fit
+        and used for recordings that are compared with it, unless others are given.
     --base-rpy X X X  mounting of the base: roll, pitch, yaw, rad
     --joint-order J …  the recorded joint at the place of each joint
     --joint-sign S …  1 or -1 per joint: direction of its axis
@@ -192,55 +211,65 @@ CORRECTIONS = Group(
     --time-offset S  time by which the torque is late, s
     --derive-velocity  take velocities from the positions, not from the recording
     """,
-    "`lieid check` tests what these options correct, and prints them. They are stored in a fit and "
-    "used for recordings that are compared with it, unless others are given.",
-)
-#: What every command that reads recordings accepts, whatever it takes as torque.
-READING = (
-    """
-    --units UNIT[,UNIT] = ''  units of the recordings that are not SI: deg, and ms, us or ns
-    --columns NAME=COLUMN,…  columns of other names than those of the file format, such as
-        t=stamp,q=pos_*,tau1=effort
-    --inflate-limit MIB: number  size that a compressed recording may inflate to; default: 1024
+    "DESPITE_CHECK": """
+    --despite-check  continue although robot and recordings do not belong together
     """,
-    DATASETS,
-    CORRECTIONS,
-)
-#: What every command has that computes torques along recordings.
-RECORDING = (
-    "--torque-constants K1,…,Kn  torque constants, N·m/A, for recordings with currents i1…in",
-    DRIVES,
-    *READING,
-    EFFECTS_FILE,
-    THREADS,
-)
-DESPITE_CHECK = "--despite-check  continue although robot and recordings do not belong together"
-
-# Models and filters.
-
-EFFECTS = (
-    f"--effects A,B:2+3,… = {DEFAULT_EFFECTS}  effects of the model; B:2+3 is B on joints 2 and 3"
-)
-NO_EFFECTS = (
-    "--effects A,B:2+3,… = ''  effects of the model; B:2+3 is B on joints 2 and 3; default: none"
-)
-#: Effects whose defaults the recordings decide.
-EFFECTS_BY_RECORDING = f"""
+    "EFFECTS": f"""
+    --effects A,B:2+3,… = {DEFAULT_EFFECTS}  effects of the model; B:2+3 is B on joints 2 and 3
+    """,
+    "NO_EFFECTS": """
+    --effects A,B:2+3,… = ''  effects of the model; B:2+3 is B on joints 2 and 3; default: none
+    """,
+    # effects whose defaults the recordings decide
+    "EFFECTS_BY_RECORDING": f"""
     --effects A,B:2+3,…  effects of the model; B:2+3 is B on joints 2 and 3; default:
         {DEFAULT_EFFECTS}
     --motor-side  torque is measured at the motors, as from their currents: adds armature to the
         default effects; implied by --torque-constants
-"""
-PROCESSING = """
+    """,
+    # of a search for missing effects; what has changed is judged with the model of the fit
+    "ONLY_WITH_TRAIN": """
+    @TIP_AND_LOCK
+    --method {ols,wls,robust} = wls  ordinary, weighted or robust least squares
+    --interactive  ask before each effect is added
+    @EFFECTS_BY_RECORDING @PROCESSING
+    """,
+    "PROCESSING": """
     --cutoff HZ: number  cut-off frequency of the low-pass filter; default: chosen from the data
     --average-periods  average periodic recordings over periods
     --smoothing {butterworth,rloess} = butterworth  filter; rloess smooths acceleration and torque
         by robust local regression before it
-"""
-
-# Outputs.
-
-JSON = "--json FILE: output  write the result as JSON"
-HTML = "--html FILE: output  write a self-contained report"
-FORCE = "--force  replace the files that lieid wrote into the folder; others are kept"
-FOLDER = f"-o/--output DIR: folder required  folder to write\n{FORCE}"
+    """,
+    # the defaults are those of `default_limits`
+    "LIMITS": """
+    == limits in addition to those of position and velocity
+    --acceleration A …: number  acceleration limits, rad/s², one or one per joint; default: the
+        robot's, or 3
+    --jerk J …: number  jerk limits, rad/s³, one or one per joint; default: none
+    --margin F: number = 0.8  fraction of the velocity and torque limits that is used
+    --torque-fraction X removed  use --margin, for velocity and torque limits
+    --no-torque  do not check torque limits
+    --cartesian-speed M/S: number = 1.5  highest speed of the tool and of the joint centres, m/s
+    --floor [Z]: height = 0  height of the floor in the base frame, m, or none
+    --unchecked-workspace  do not check floor, self-collision and tool speed
+    --wall NX NY NZ D: number repeated  keep the arm where n·x ≤ d, base frame, m
+    --workspace-box X0 Y0 Z0 X1 Y1 Z1: number repeated  keep the arm inside this box, base frame, m
+    --obstacle X0 Y0 Z0 X1 Y1 Z1: number repeated  keep the arm outside this box, base frame, m
+    --self-collision [M]: number = 0.02  least distance between links, m
+    --capsules FILE: input  YAML file with capsules around the links; default: fitted to their
+        geometry
+    """,
+    "JSON": "--json FILE: output  write the result as JSON",
+    "HTML": "--html FILE: output  write a self-contained report",
+    "FORCE": "--force  replace the files that lieid wrote into the folder; others are kept",
+    "FOLDER": """
+    -o/--output DIR: folder required  folder to write
+    @FORCE
+    """,
+    "HISTORY": "history HISTORY: input  history (DuckDB)",
+    "CHANGED_HISTORY": """
+    history HISTORY  history (DuckDB) to change
+    serial SERIAL  serial number of the arm
+    --wait S: number = 0  seconds to wait for a run that has the history open
+    """,
+}

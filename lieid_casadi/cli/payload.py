@@ -4,15 +4,27 @@ from __future__ import annotations
 
 import argparse
 
-from lieid_casadi.cli import inputs, options, output
+from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
 from lieid_casadi.cli.option_types import number
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 
 
+@command("payload", "mass, centre of mass and inertia of the payload")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Identify the payload."""
+    """Identify mass, centre of mass and inertia of a payload with a fit that was made without it.
+
+    fit FIT: input  fit made without the payload
+    recordings REC …: input  recordings measured with the payload
+    --refit-friction  fit Coulomb friction, viscous friction and offsets again, which change
+        with temperature
+    --cutoff HZ: number  cut-off frequency of the low-pass filter; default: that of the fit
+    --plot FILE: picture  draw the errors before and after
+    --torque-constants-std PERCENT[,…]  standard deviation of the torque constants, %%: one
+        number for an error that all joints share, or one per joint; default: 0
+    @RECORDING @DESPITE_CHECK @JSON @HTML
+    """
     from lieid_casadi.payload import identify_payload
     from lieid_casadi.payload.estimate import (
         error_table,
@@ -47,33 +59,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         html=lambda: payload_report(fit, payload),
         plot=payload.plot,
     )
-
-
-COMMANDS = (
-    Command(
-        "payload",
-        "mass, centre of mass and inertia of the payload",
-        "Identify the mass, centre of mass and inertia of a payload with a fit that was made "
-        "without it.",
-        (
-            """
-            fit FIT: input  fit made without the payload
-            recordings REC …: input  recordings measured with the payload
-            --refit-friction  fit Coulomb friction, viscous friction and offsets again, which change
-                with temperature
-            --cutoff HZ: number  cut-off frequency of the low-pass filter; default: that of the fit
-            --plot FILE: picture  draw the errors before and after
-            --torque-constants-std PERCENT[,…]  standard deviation of the torque constants, %%: one
-                number for an error that all joints share, or one per joint; default: 0
-            """,
-            *options.RECORDING,
-            options.DESPITE_CHECK,
-            options.JSON,
-            options.HTML,
-        ),
-        run,
-    ),
-)
 
 
 def _percent(text: str | None) -> list[float]:

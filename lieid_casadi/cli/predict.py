@@ -4,33 +4,22 @@ from __future__ import annotations
 
 import argparse
 
-from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import inputs, output
+from lieid_casadi.cli.options import command
 
 
+@command("predict", "torque of a fit along a recording")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Write ``t,tau1…taun``, one row per row of the recording."""
+    """Compute the torque of a fit at the times of a recording.
+
+    fit FIT: input  fit to evaluate
+    recording REC: input  recording that states the motion
+    -o/--output pred.csv: output required  CSV file with the columns t,tau1…taun
+    @RECORDING
+    """
     fit, (recording,) = inputs.fit_and_recordings(args, [args.recording])
     torque = fit.predict(recording)
     return output.Outcome(
         [f"{len(torque)} rows written to {args.output}"],
         files={"output": lambda: output.csv_bytes(recording.t, tau=torque)},
     )
-
-
-COMMANDS = (
-    Command(
-        "predict",
-        "torque of a fit along a recording",
-        "Compute the torque of a fit at the times of a recording.",
-        (
-            """
-            fit FIT: input  fit to evaluate
-            recording REC: input  recording that states the motion
-            -o/--output pred.csv: output required  CSV file with the columns t,tau1…taun
-            """,
-            *options.RECORDING,
-        ),
-        run,
-    ),
-)

@@ -4,14 +4,31 @@ from __future__ import annotations
 
 import argparse
 
-from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import inputs, output
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 from lieid_casadi.tables import Table, make_table
 
 
+@command("sample", "physically consistent draws from the posterior of a fit")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Draw samples and write them."""
+    """Draw physically consistent parameters from the posterior of a fit of method feasible.
+
+    Rivals that the recordings do not separate from it can be drawn, too. The samples are for
+    ensembles and domain randomisation.
+
+    fit FIT: input  fit to sample
+    -n N: int = 100  number of samples
+    --rival FIT: input repeated  fit with other effects that the data do not separate
+    --weights W …: number  probabilities of the fit and its rivals, in proportion; default:
+        by their errors on --test, else equal
+    --test REC …: input  recordings that were not used for training: how much of their
+        torque the samples cover
+    --to {npz,mjcf,urdf} = npz  models of every sample besides samples.npz
+    @FOLDER
+    --seed N: seed = 0  seed of the draws
+    @RECORDING @JSON
+    """
     from lieid_casadi.exporters.samples import export_samples
     from lieid_casadi.identification import Fit
     from lieid_casadi.identification.ensemble import (
@@ -57,31 +74,3 @@ def run(args: argparse.Namespace) -> output.Outcome:
         "coverage": None if coverage is None else coverage.to_dict(),
     }
     return output.Outcome([*shown, *(f"  ! {note}" for note in made.notes)], json=content)
-
-
-COMMANDS = (
-    Command(
-        "sample",
-        "physically consistent draws from the posterior of a fit",
-        "Draw physically consistent parameters from the posterior of a fit of method feasible, and "
-        "of rivals that the recordings do not separate from it, for ensembles and domain "
-        "randomisation.",
-        (
-            """
-            fit FIT: input  fit to sample
-            -n N: int = 100  number of samples
-            --rival FIT: input repeated  fit with other effects that the data do not separate
-            --weights W …: number  probabilities of the fit and its rivals, in proportion; default:
-                by their errors on --test, else equal
-            --test REC …: input  recordings that were not used for training: how much of their
-                torque the samples cover
-            --to {npz,mjcf,urdf} = npz  models of every sample besides samples.npz
-            """,
-            options.FOLDER,
-            "--seed N: seed = 0  seed of the draws",
-            *options.RECORDING,
-            options.JSON,
-        ),
-        run,
-    ),
-)

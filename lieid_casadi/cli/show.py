@@ -6,8 +6,8 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import inputs, output
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import warning_list
 from lieid_casadi.tables import Table, make_table
 
@@ -17,8 +17,16 @@ if TYPE_CHECKING:
     from lieid_casadi.robot import Robot
 
 
+@command("show", "joints, screws, limits, base parameters, values of a fit")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Describe a robot and its base parameters, or those of a fit with its effects and values."""
+    """Show the joints, screws and limits of a robot, and its base parameters.
+
+    Of a fit, also its effects and the values of all parameters.
+
+    @ROBOT_OR_FIT @NO_EFFECTS @EFFECTS_FILE
+    --symbolic  base parameters with symbols for the lengths between link frames
+    @JSON
+    """
     from lieid_casadi.identification import Fit
 
     fit = Fit.load(args.robot) if inputs.is_fit(args) and not args.effects else None
@@ -68,24 +76,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     no_inertia = ", ".join(robot.links_without_inertia)
     notes = [] if robot.has_inertia else [f"No inertia stated for: {no_inertia}"]
     return output.Outcome((*shown, *notes, *robot.warnings), json=_null_for_nan(content))
-
-
-COMMANDS = (
-    Command(
-        "show",
-        "joints, screws, limits, base parameters, values of a fit",
-        "Show the joints, screws and limits of a robot, and its base parameters; of a fit, also "
-        "its effects and the values of all parameters.",
-        (
-            *options.ROBOT_OR_FIT,
-            options.NO_EFFECTS,
-            options.EFFECTS_FILE,
-            "--symbolic  base parameters with symbols for the lengths between link frames",
-            options.JSON,
-        ),
-        run,
-    ),
-)
 
 
 def _joints(robot: Robot) -> list[dict[str, Any]]:

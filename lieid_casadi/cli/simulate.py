@@ -4,13 +4,31 @@ from __future__ import annotations
 
 import argparse
 
-from lieid_casadi.cli import inputs, options, output
-from lieid_casadi.cli.options import Command
+from lieid_casadi.cli import inputs, output
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 
 
+@command("simulate", "forward simulation of a fit under recorded torques or commands")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Simulate."""
+    """Integrate a fit from measured states under the torques or commands of recordings.
+
+    It is reported how far the simulated motion leaves the measured one.
+
+    fit FIT: input  fit to simulate
+    recordings REC …: input  recordings to follow
+    -o/--output sim.csv: output  CSV file with the simulated motion t,q1…qn,dq1…dqn,
+        restarted in every window
+    --window S: number = 1  length of the windows
+    --under {command,torque}  input; default: commands if the fit has a drive law and the
+        recordings have them
+    --no-effects  leave out the models without one effect of the fit each
+    --train REC …: input  recordings from which the models without an effect are identified;
+        default: the simulated recordings
+    --train-episodes A:B  episodes of datasets after --train; default: all
+    --plot FILE: picture  draw the drift per joint
+    @RECORDING @JSON
+    """
     from dataclasses import replace
 
     from lieid_casadi.simulation import simulate
@@ -43,32 +61,3 @@ def run(args: argparse.Namespace) -> output.Outcome:
         plot=simulation.plot,
         files={"output": lambda: output.csv_bytes(simulation.t, **motion)},
     )
-
-
-COMMANDS = (
-    Command(
-        "simulate",
-        "forward simulation of a fit under recorded torques or commands",
-        "Integrate a fit from measured states under the torques or commands of recordings, and "
-        "report how far the simulated motion leaves the measured one.",
-        (
-            """
-            fit FIT: input  fit to simulate
-            recordings REC …: input  recordings to follow
-            -o/--output sim.csv: output  CSV file with the simulated motion t,q1…qn,dq1…dqn,
-                restarted in every window
-            --window S: number = 1  length of the windows
-            --under {command,torque}  input; default: commands if the fit has a drive law and the
-                recordings have them
-            --no-effects  leave out the models without one effect of the fit each
-            --train REC …: input  recordings from which the models without an effect are identified;
-                default: the simulated recordings
-            --train-episodes A:B  episodes of datasets after --train; default: all
-            --plot FILE: picture  draw the drift per joint
-            """,
-            *options.RECORDING,
-            options.JSON,
-        ),
-        run,
-    ),
-)

@@ -7,7 +7,7 @@ import functools
 from typing import TYPE_CHECKING, NoReturn
 
 from lieid_casadi.cli import effects_file, inputs, options, output
-from lieid_casadi.cli.options import Command, Group
+from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -17,8 +17,30 @@ if TYPE_CHECKING:
     from lieid_casadi.workbench.session import Options, WorkbenchInputs
 
 
+@command(
+    "workbench",
+    "compare, diagnose and extend a model on a local web page",
+    usage="lieid workbench [ROBOT|FIT] [REC…] [--train A…] [--test B…] [options]",
+)
 def run(args: argparse.Namespace) -> None:
-    """Serve the page until the program is asked to end."""
+    """Open a local web page that shows where a model fails, and which effects it lacks.
+
+    It shows how the error falls with each of them. Without arguments it opens the simulated arm of
+    the demo.
+
+    robot [ROBOT|FIT]: input = ''  robot to fit a model of, or a fit (.json) to compare with
+        recordings measured since
+    recordings [REC …]: input  recordings; of a robot, the last of several is the test and
+        the others are fitted
+    --train REC …: input  recordings to fit
+    --test REC …: input  recordings to test on
+    @NO_EFFECTS @TIP_AND_LOCK @RECORDING
+    == server
+    --port N: port = 8765  port to listen on
+    --no-browser  do not open a browser
+    --host ADDRESS = 127.0.0.1  address to listen on
+    --yes-expose  confirm a --host that other machines can reach; an SSH tunnel is safer
+    """
     from lieid_casadi.workbench.server import ServerOptions, serve
     from lieid_casadi.workbench.session import WorkerSetup
 
@@ -35,39 +57,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 #: Options that a page keeps, but for the number of threads.
-KEPT_OPTIONS = (options.TIP_AND_LOCK, *options.RECORDING)
-COMMANDS = (
-    Command(
-        "workbench",
-        "compare, diagnose and extend a model on a local web page",
-        "Open a local web page that shows where a model fails, which effects it lacks, and how "
-        "the error falls with each of them. Without arguments it opens the simulated arm of the "
-        "demo.",
-        (
-            """
-            robot [ROBOT|FIT]: input = ''  robot to fit a model of, or a fit (.json) to compare with
-                recordings measured since
-            recordings [REC …]: input  recordings; of a robot, the last of several is the test and
-                the others are fitted
-            --train REC …: input  recordings to fit
-            --test REC …: input  recordings to test on
-            """,
-            options.NO_EFFECTS,
-            *KEPT_OPTIONS,
-            Group(
-                "server",
-                """
-                --port N: port = 8765  port to listen on
-                --no-browser  do not open a browser
-                --host ADDRESS = 127.0.0.1  address to listen on
-                --yes-expose  confirm a --host that other machines can reach; an SSH tunnel is safer
-                """,
-            ),
-        ),
-        run,
-        usage="lieid workbench [ROBOT|FIT] [REC…] [--train A…] [--test B…] [options]",
-    ),
-)
+KEPT_OPTIONS = "@TIP_AND_LOCK @RECORDING"
 
 
 def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
@@ -163,7 +153,7 @@ class _Parser(argparse.ArgumentParser):
 def _arguments(opened: WorkbenchInputs) -> argparse.Namespace:
     """Return the command line that opens what a page has open."""
     parser = _Parser(allow_abbrev=False)
-    COMMANDS[0].add_to(parser.add_subparsers())
+    options.COMMANDS["workbench"].add_to("workbench", parser.add_subparsers())
     train = ["--train", *opened.paths("train")] if opened.mode == "missing" else []
     return parser.parse_args(["workbench", opened.fit or opened.robot, *train, *opened.words])
 
