@@ -10,7 +10,6 @@ __version__ = "0.2.0"
 __all__ = [
     "BSpline",
     "Basis",
-    "Bootstrap",
     "CartesianSpeed",
     "Coefficient",
     "Comparison",
@@ -50,7 +49,6 @@ __all__ = [
     "Torque",
     "Wall",
     "__version__",
-    "bootstrap",
     "check",
     "compare",
     "compile",
@@ -100,7 +98,6 @@ _HOME = {
         "gains": "DriveGains drive_gains",
         "identification": "Fit identify",
         "identification.fit": "predict",
-        "identification.bootstrap": "Bootstrap bootstrap",
         "model": "Model",
         "payload": "PayloadEstimate identify_payload",
         "premises": "PremiseCheck check",
@@ -149,7 +146,6 @@ if TYPE_CHECKING:
     from lieid_casadi.friction_curves.friction_fit import FrictionFit, friction
     from lieid_casadi.friction_curves.stages import StagedFit, identify_in_stages
     from lieid_casadi.gains.identify import DriveGains, drive_gains
-    from lieid_casadi.identification.bootstrap import Bootstrap, bootstrap
     from lieid_casadi.identification.fit import Fit, predict
     from lieid_casadi.identification.identify import identify
     from lieid_casadi.model import Model

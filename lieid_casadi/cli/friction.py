@@ -11,7 +11,7 @@ from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
-    from lieid_casadi.friction_curves import FrictionAgreement, FrictionFit
+    from lieid_casadi.friction_curves import FrictionFit
     from lieid_casadi.friction_curves.friction_fit import RankedFrictionModel
     from lieid_casadi.identification import Fit
     from lieid_casadi.robot import Robot
@@ -28,8 +28,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --joint J: int required  number of the joint, from 1
     --effects A,B,…  friction model: effects, or the name of a model such as paper; default:
         all models of the literature are fitted and ranked
-    --fit FIT: input  fit of the whole arm: its rigid torque is used, and its friction is
-        compared
+    --fit FIT: input  fit of the whole arm, whose rigid torque is used
     --load {model,measured}  source of the load torque; default: model
     --plot FILE: picture  draw the curve and the fit
     --seed N: seed = 0  seed of the search
@@ -37,7 +36,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --cutoff HZ: number  cut-off frequency of the low-pass filter
     @JSON
     """
-    from lieid_casadi.friction_curves import compare_friction, fit_friction, friction_curve
+    from lieid_casadi.friction_curves import fit_friction, friction_curve
     from lieid_casadi.friction_curves.curve import curve_table
     from lieid_casadi.friction_curves.friction_fit import (
         parameter_table,
@@ -64,7 +63,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         with output.progress("friction models") as report:
             ranked = rank_friction_models(curve, seed=args.seed, progress=report)
         fit = ranked[0].fit
-    agreement = None if whole is None else compare_friction(fit, whole)
     models = (c.model for c in ranked if c.model.note)
     return output.Outcome(
         (
@@ -72,18 +70,15 @@ def run(args: argparse.Namespace) -> output.Outcome:
             *([ranking_table(ranked)] if ranked else []),
             *(f"  * {model.form} ({model.name}): {model.note}." for model in models),
             parameter_table(fit),
-            *([] if agreement is None else [f"Friction curve and {args.fit}: {agreement}."]),
             *curve.warnings,
             *fit.warnings,
         ),
-        json=content(fit, ranked, agreement),
+        json=content(fit, ranked),
         plot=fit.plot,
     )
 
 
-def content(
-    fit: FrictionFit, ranked: Sequence[RankedFrictionModel], agreement: FrictionAgreement | None
-) -> dict[str, Any]:
+def content(fit: FrictionFit, ranked: Sequence[RankedFrictionModel]) -> dict[str, Any]:
     """Return the JSON of ``lieid friction``."""
     curve, own = fit.curve.to_dict(), fit.to_dict()
     warnings = [*curve.pop("warnings"), *own.pop("warnings")]
@@ -105,7 +100,6 @@ def content(
             }
             for c in ranked
         ],
-        "agreement": None if agreement is None else agreement.to_dict(),
         "warnings": warnings,
     }
 

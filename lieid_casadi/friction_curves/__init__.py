@@ -1,6 +1,5 @@
 """Friction curves of single joints, friction models fitted to them, identification in stages."""
 
-from lieid_casadi.friction_curves.agreement import FrictionAgreement, compare_friction
 from lieid_casadi.friction_curves.curve import FrictionCurve, friction_curve
 from lieid_casadi.friction_curves.friction_fit import (
     FrictionFit,
@@ -12,13 +11,11 @@ from lieid_casadi.friction_curves.friction_fit import (
 from lieid_casadi.friction_curves.stages import StagedFit, combine_stages, identify_in_stages
 
 __all__ = [
-    "FrictionAgreement",
     "FrictionCurve",
     "FrictionFit",
     "RankedFrictionModel",
     "StagedFit",
     "combine_stages",
-    "compare_friction",
     "fit_friction",
     "friction",
     "friction_curve",

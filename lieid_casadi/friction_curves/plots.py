@@ -59,21 +59,3 @@ def plot_friction(
     if friction.min() > 0.0:
         ax.set_ylim(bottom=0.0)
     return plot_style.root_figure(ax)
-
-
-def plot_agreement(
-    speed: Array, first: Array, second: Array, std: Array, title: str, ax: Axes | None = None
-) -> Figure:
-    """Draw both determinations over speed with two standard deviations of their difference."""
-    if ax is None:
-        ax = plot_style.new_figure(7.0, 4.2).subplots()
-    plot_style.style(ax)
-    ax.errorbar(
-        speed, first, 2.0 * std, fmt="o", ms=4, color=plot_style.PREDICTED, label="first ± 2σ"
-    )
-    ax.plot(speed, second, "s", ms=4, color=plot_style.ERROR, label="second")
-    ax.legend(fontsize=plot_style.SMALL, loc="best")
-    plot_style.title(ax, title)
-    plot_style.label(ax, x="|q̇| [rad/s]", y="friction [N·m]")
-    ax.set_xlim(left=0.0)
-    return plot_style.root_figure(ax)

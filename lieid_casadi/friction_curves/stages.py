@@ -23,7 +23,6 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.effects import Effect, Placement
 from lieid_casadi.errors import LieidWarning, ModelError, unique_warnings
-from lieid_casadi.friction_curves.agreement import FrictionAgreement, compare_friction
 from lieid_casadi.friction_curves.curve import LoadSource, friction_curve
 from lieid_casadi.friction_curves.friction_fit import FrictionFit, fit_friction, steady_columns
 from lieid_casadi.identification.fit import Fit
@@ -252,10 +251,6 @@ class StagedFit:
     first_stage: Fit
     friction: dict[int, FrictionFit]
     fit: Fit
-
-    def compare(self, joint_fit: Fit) -> tuple[FrictionAgreement, ...]:
-        """Compare the friction of each joint with that of one fit of all parameters."""
-        return tuple(compare_friction(own, joint_fit) for own in self.friction.values())
 
     def to_dict(self) -> dict[str, Any]:
         """Return the first stage and the friction of each joint for JSON."""

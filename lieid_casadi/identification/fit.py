@@ -420,18 +420,6 @@ class Fit:
             )
         ]
 
-    def ranking(self) -> list[dict[str, Any]]:
-        """Return the rows of `parameter_table` in the order of their relative standard deviation.
-
-        Above about 0.3, little more than the sign of a value is determined.
-        """
-        last = float("inf")
-
-        def key(row: dict[str, Any]) -> float:
-            return last if row["relative_std"] is None else float(row["relative_std"])
-
-        return sorted(self.parameter_table(), key=key)
-
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw each parameter relative to its standard deviation; the figure is not shown."""
         numbers = np.concatenate([self.values, self.shapes])

@@ -5,8 +5,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.errors import IdentificationError, ModelError
-from lieid_casadi.identification.bootstrap import bootstrap
+from lieid_casadi.errors import ModelError
 from lieid_casadi.identification.regression.least_squares import JointRows, Rows
 from lieid_casadi.identification.uncertainty.covariance import (
     hac_covariance,
@@ -165,41 +164,6 @@ def test_parameter_std_of_a_band_is_that_of_repeated_fits():
     ratio = np.sqrt(np.mean(np.square(stated), axis=(0, 1)) / np.mean(scatter**2, axis=0))
     assert np.all(ratio > 0.75)
     assert np.all(ratio < 1.35)
-
-
-@pytest.mark.parametrize(("method", "resamples"), [("wls", 100), ("ols", 100), ("feasible", 40)])
-def test_bootstrap_agrees_with_the_formula(method, resamples):
-    model = lieid.Model(ROBOT, EFFECTS)
-    recording = run(duration=60.0, coloured_noise=0.3, correlation_time=0.05)
-    fit = lieid.identify(model, recording, method=method, processing=CUTOFF)
-    repeated = bootstrap(fit, recording, resamples=resamples, seed=1)
-    assert repeated.values.shape == (resamples, model.base.count)
-    assert repeated.failed == 0
-    ratio = repeated.std / fit.std
-    assert 0.7 < np.median(ratio) < 1.3
-    low, high = repeated.interval(0.9)
-    inside = (repeated.values >= low) & (repeated.values <= high)
-    assert inside.mean() == pytest.approx(0.9, abs=0.02)
-    again = bootstrap(fit, recording, resamples=3, seed=1)
-    np.testing.assert_array_equal(again.values, repeated.values[:3])
-
-
-def test_bootstrap_of_too_little_data_is_refused():
-    recording = run(duration=4.0, coloured_noise=0.3, correlation_time=1.0)
-    fit = lieid.identify(lieid.Model(ROBOT, "viscous"), recording, processing=CUTOFF)
-    with pytest.raises(IdentificationError, match=r"blocks of .* expected at least 10"):
-        bootstrap(fit, recording)
-    with pytest.raises(IdentificationError, match="1 resamples, expected at least 2"):
-        bootstrap(fit, recording, resamples=1)
-
-
-def test_parameters_are_ranked_by_relative_standard_deviation():
-    fit = lieid.identify(lieid.Model(ROBOT, EFFECTS), run(torque_noise=0.3), processing=CUTOFF)
-    ranked = fit.ranking()
-    assert len(ranked) == len(fit.values)
-    relative = [row["relative_std"] for row in ranked]
-    assert relative == sorted(relative)
-    assert relative[0] == pytest.approx(np.min(fit.std / np.abs(fit.values)))
 
 
 def test_variances_of_dependent_parameters_are_not_negative(tmp_path):

@@ -45,11 +45,10 @@ def test_what_is_no_model_is_refused(recording):
         lambda path: lieid.identify(lieid.Model(ROBOT), path),
         lambda path: lieid.compare(ARMS["rigid"](), path),
         lambda path: lieid.diagnose(ARMS["rigid"](), path),
-        lambda path: lieid.bootstrap(ARMS["rigid"](), path),
         lambda path: lieid.friction(ROBOT, path, 0),
         lambda path: lieid.identify_payload(ARMS["rigid"](), path),
     ],
-    ids=["identify", "compare", "diagnose", "bootstrap", "friction", "identify_payload"],
+    ids=["identify", "compare", "diagnose", "friction", "identify_payload"],
 )
 def test_a_path_in_place_of_a_recording_is_refused(function, path):
     with pytest.raises(RecordingError, match=r"got the path 'x\.csv'; expected Recording\.load"):

@@ -6,13 +6,13 @@ import sys
 import lieid_casadi as lieid
 
 PUBLIC = {
-    "BSpline", "Basis", "Bootstrap", "CartesianSpeed", "Coefficient", "Comparison", "Compiled",
+    "BSpline", "Basis", "CartesianSpeed", "Coefficient", "Comparison", "Compiled",
     "Diagnosis", "Discrimination", "Drive", "DriveGains", "Effect", "Excitation", "Experiment",
     "Export", "ExpressionLimit", "Fit", "Fourier", "FrictionFit", "Joint", "LieidError",
     "LieidWarning", "Limits", "Model", "ModifiedFourier", "Obstacle", "PayloadEstimate",
     "PlannedMotion", "PremiseCheck", "Processing", "Recording", "Robot", "SelfCollision", "Shape",
     "Signals", "Simulation", "StagedFit", "SymbolicDynamics", "Symbols", "Torque", "Wall",
-    "__version__", "bootstrap", "check", "compare", "compile", "default_limits", "diagnose",
+    "__version__", "check", "compare", "compile", "default_limits", "diagnose",
     "discriminate", "drive_gains", "effect", "excite", "experiment", "export", "extend", "floor",
     "friction", "identify", "identify_in_stages", "identify_payload", "jerk_limit", "predict",
     "register", "robots", "servo_drive", "simulate", "symbolic", "workspace_box",

@@ -1,1 +1,1 @@
-"""Standard deviations, noise of residuals, prediction bands and bootstrap."""
+"""Standard deviations, noise of residuals, shape intervals and draws."""
