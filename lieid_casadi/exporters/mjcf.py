@@ -10,25 +10,28 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.mjcf_in_place import CannotEdit, edited_mjcf
 from lieid_casadi.exporters.simulator_joints import (
+    ActuatorLaw,
     LinearFriction,
+    PassiveTorques,
+    actuator_law,
     beyond_linear_friction,
     check_possible,
     file_name,
+    inertial,
     linear_friction,
     number,
+    passive_torques,
+    vector,
 )
 from lieid_casadi.exporters.xml_text import allowed, comment
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.robot import Drive, Joint
-from lieid_casadi.robot.inertia import body_inertia
-from lieid_casadi.simulation.play import plays_of
+from lieid_casadi.robot import Joint
+from lieid_casadi.simulation.play import Play, plays_of
 
 Element = ElementTree.Element
 STEP = 0.002  # s
-#: Stiffness of the spring that produces a constant torque, in parts of that torque per radian: the
-#: torque changes by this share over a radian.
-WEAK_SPRING = 1e-6
 #: solreflimit of a play: the sides' time constant, s, the shortest that MuJoCo integrates stably
 #: with its step, and damping relative to critical damping.
 SIDES = (2.0 * STEP, 1.0)
@@ -44,18 +47,30 @@ EXPRESSED = frozenset(
 
 
 def mjcf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
-    """Return ``ROBOT.xml``, a MuJoCo model, by its name, and notes on its approximations.
+    """Return the files of a MuJoCo model by their names, and notes on its approximations.
+
+    That of a robot from a MuJoCo model is that model with the numbers of the fit in place
+    (`mjcf_in_place`); that of others, ``ROBOT.xml``, is written from screws.
 
     Raises `ExportError`: the fit's masses and inertias are not certified to be physically
     consistent; the message has the command that makes a fit whose are.
     """
     check_possible(fit)
+    source, why = fit.model.robot.source, list[str]()
+    if source is not None and source.kind == "mjcf":
+        try:
+            friction = linear_friction(fit)
+            files, notes = edited_mjcf(fit, source, friction)
+            notes = [*notes_of(fit, friction, ()), *notes]
+            return {name: text.encode() for name, text in files.items()}, notes
+        except CannotEdit as reason:
+            why = [f"written anew, without the rest of the robot's own model, because {reason}"]
     text, notes = mjcf_text(fit)
-    return {f"{file_name(fit.model.robot.name)}.xml": text.encode()}, notes
+    return {f"{file_name(fit.model.robot.name)}.xml": text.encode()}, [*why, *notes]
 
 
-def notes_of(fit: Fit, friction: Sequence[LinearFriction]) -> list[str]:
-    """Return notes on what the model approximates and leaves out, a sentence each."""
+def notes_of(fit: Fit, friction: Sequence[LinearFriction], plays: Sequence[Play]) -> list[str]:
+    """Return notes on what a model with given plays approximates and leaves out."""
     robot = fit.model.robot
     notes: list[str] = []
     names = {p.effect.name for p in fit.model.placements}
@@ -68,7 +83,6 @@ def notes_of(fit: Fit, friction: Sequence[LinearFriction]) -> list[str]:
         for p in fit.model.placements
         if set(p.effect.signals) & {"dq", "sign"} and p.effect.name in dry
     }
-    plays = plays_of(fit)
     rigid = {p.joint for p in fit.model.placements if p.effect.name == "backlash"}
     rigid -= {play.joint for play in plays}
     expressed = EXPRESSED | (set() if rigid else {"backlash"})
@@ -109,7 +123,7 @@ def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
     friction = linear_friction(fit)
     root = ElementTree.Element("mujoco", model=allowed(robot.name) or "robot")
     _add(root, "compiler", angle="radian", autolimits="true")
-    gravity = _vector(robot.gravity)
+    gravity = vector(robot.gravity)
     _add(root, "option", timestep=number(STEP), integrator="implicitfast", gravity=gravity)
     world = _add(root, "worldbody")
     parent, before = world, np.eye(4)
@@ -121,8 +135,8 @@ def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
         place = np.asarray(np.linalg.solve(before, joint.home))
         _add_link(parent, place, j)
         parent = _add(parent, "body", name=names[j], **_pose(place))
-        _add_inertial(parent, bodies[j])
-        _add_joint(parent, joint, joints[j], fit, j, friction[j])
+        _add(parent, "inertial", **inertial(bodies[j]))
+        _add_joint(parent, joint, joints[j], passive_torques(fit, j, friction[j]))
         if j in plays:
             _add_play(parent, joint, f"{joints[j]}_play", plays[j])
         before = joint.home
@@ -130,8 +144,8 @@ def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
     _add(parent, "site", name="tool", **_pose(robot.tool))
     actuators = _add(root, "actuator")
     for j, joint in enumerate(robot.joints):
-        _add_actuator(actuators, joint, joints[j], _of_joint(fit, j))
-    notes = notes_of(fit, friction)
+        _add_actuator(actuators, joint, joints[j], actuator_law(fit, j))
+    notes = notes_of(fit, friction, plays_of(fit))
     ElementTree.indent(root)
     head = HEAD.format(
         robot=comment(robot.name),
@@ -156,41 +170,17 @@ def _add_link(parent: Element, place: Array, index: int) -> None:
         _add(
             parent, "geom", type="capsule", size=number(0.12 * length), mass="0",
             contype="0", conaffinity="0", rgba="0.6 0.65 0.7 1",
-            fromto=_vector(np.concatenate([np.zeros(3), place[:3, 3]])),
+            fromto=vector(np.concatenate([np.zeros(3), place[:3, 3]])),
         )  # fmt: skip
 
 
-def _add_inertial(parent: Element, parameters: Array) -> None:
-    body = body_inertia(parameters)
-    i = body.inertia
-    six = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
-    _add(
-        parent, "inertial", pos=_vector(body.com), mass=number(body.mass), fullinertia=_vector(six)
-    )
-
-
-def _add_joint(
-    parent: Element, joint: Joint, name: str, fit: Fit, index: int, friction: LinearFriction
-) -> None:
-    """Add a joint (from 0) with its passive torques."""
-    own = _of_joint(fit, index)
+def _add_joint(parent: Element, joint: Joint, name: str, passive: PassiveTorques) -> None:
+    """Add a joint with its passive torques."""
     attributes = {"name": name, **_axis(joint)}
     limits = joint.limits
     if math.isfinite(limits.position_lower) and math.isfinite(limits.position_upper):
-        attributes["range"] = _vector([limits.position_lower, limits.position_upper])
-    damping = friction.damping + (_servo_damping(joint.drive) if joint.drive else 0.0)
-    armature = max(own.get("armature.I_a", 0.0), 0.0)
-    for key, value in (
-        ("armature", armature), ("damping", damping), ("frictionloss", friction.loss),
-    ):  # fmt: skip
-        if value:
-            attributes[key] = number(value)
-    offset, stiffness = own.get("offset.f_b", 0.0), own.get("position_spring.K", 0.0)
-    if offset and not stiffness:
-        stiffness = WEAK_SPRING * abs(offset)
-    if stiffness:
-        attributes["stiffness"] = number(stiffness)
-        attributes["springref"] = number(-offset / stiffness)
+        attributes["range"] = vector([limits.position_lower, limits.position_upper])
+    attributes |= {key: number(value) for key, value in vars(passive).items() if value}
     _add(parent, "joint", **attributes)
 
 
@@ -199,7 +189,7 @@ def _add_play(parent: Element, joint: Joint, name: str, width: float) -> None:
 
     The armature of the actuated joint is then the inertia of the motor alone.
     """
-    sides = {"range": _vector([-0.5 * width, 0.5 * width]), "solreflimit": _vector(SIDES)}
+    sides = {"range": vector([-0.5 * width, 0.5 * width]), "solreflimit": vector(SIDES)}
     _add(parent, "joint", name=name, **_axis(joint), **sides)
 
 
@@ -207,44 +197,27 @@ def _axis(joint: Joint) -> dict[str, str]:
     """Return type, axis and position of a joint in its link's frame."""
     omega, v = joint.axis[:3], joint.axis[3:]
     if not joint.revolute:
-        return {"type": "slide", "axis": _vector(v)}
-    return {"type": "hinge", "axis": _vector(omega), "pos": _vector(np.cross(omega, v))}
+        return {"type": "slide", "axis": vector(v)}
+    return {"type": "hinge", "axis": vector(omega), "pos": vector(np.cross(omega, v))}
 
 
-def _servo_damping(drive: Drive) -> float:
-    """Return the damping of a servo's motor, which its duty's limit does not limit."""
-    return drive.damping if math.isfinite(drive.proportional_limit) else 0.0
-
-
-def _of_joint(fit: Fit, index: int) -> dict[str, float]:
-    """Return the coefficients and shape parameters of a joint (from 0) by name."""
-    columns = (*fit.model.columns, *fit.model.shapes)
-    values = np.concatenate([fit.effect_coefficients, fit.shapes])
-    pairs = zip(columns, values, strict=True)
-    return {column.name: float(value) for column, value in pairs if column.joint == index}
-
-
-def _add_actuator(parent: Element, joint: Joint, name: str, own: dict[str, float]) -> None:
+def _add_actuator(parent: Element, joint: Joint, name: str, law: ActuatorLaw | None) -> None:
     """Add a position actuator with the gains of the drive, or a motor."""
     limit = joint.limits.torque
     attributes = {"name": name, "joint": name}
-    if joint.drive is None:
+    if law is None:
         if math.isfinite(limit):
-            attributes["ctrlrange"] = _vector([-limit, limit])
+            attributes["ctrlrange"] = vector([-limit, limit])
         _add(parent, "motor", **attributes)
         return
-    drive = joint.drive.limited(limit)
-    attributes["kp"] = number(drive.stiffness)
-    if not math.isfinite(drive.proportional_limit) and drive.damping:
-        attributes["kv"] = number(drive.damping)
-    force = min(drive.proportional_limit, drive.torque_limit)
-    if "torque_saturation.e_s" in own:
-        force = min(force, drive.stiffness * own["torque_saturation.e_s"])
-    delay = own.get("command_delay.delta", 0.0)
-    if delay > 0.0:
-        attributes |= {"delay": number(delay), "nsample": str(math.ceil(delay / STEP) + 1)}
-    if math.isfinite(force):
-        attributes["forcerange"] = _vector([-force, force])
+    attributes["kp"] = number(law.stiffness)
+    if law.damping:
+        attributes["kv"] = number(law.damping)
+    if law.delay > 0.0:
+        samples = math.ceil(law.delay / STEP) + 1
+        attributes |= {"delay": number(law.delay), "nsample": str(samples)}
+    if math.isfinite(law.force):
+        attributes["forcerange"] = vector([-law.force, law.force])
     _add(parent, "position", **attributes)
 
 
@@ -256,13 +229,9 @@ def _unique(names: Sequence[str]) -> list[str]:
     return made
 
 
-def _vector(values: Array | Sequence[float]) -> str:
-    return " ".join(number(value) for value in values)
-
-
 def _pose(place: Array) -> dict[str, str]:
     """Return position and quaternion [w x y z] of a pose (4, 4)."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(place[:3, :3]).as_quat()
-    return {"pos": _vector(place[:3, 3]), "quat": _vector([w, x, y, z])}
+    return {"pos": vector(place[:3, 3]), "quat": vector([w, x, y, z])}

@@ -53,6 +53,9 @@ def export_samples(
     if to != "npz":
         for k, sample in enumerate(samples, start=1):
             made, notes = mjcf_files(sample) if to == "mjcf" else urdf_files(sample)
+            if to == "mjcf" and len(made) > 1:  # a model with the files that it includes
+                files |= {f"sample_{k:03d}/{name}": text for name, text in made.items()}
+                continue
             name, text = next(iter(made.items()))
             files[f"sample_{k:03d}{Path(name).suffix}"] = text
     return Export(write_folder(folder, files, force=force), tuple(notes))

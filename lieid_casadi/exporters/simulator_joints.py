@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError
 from lieid_casadi.friction_curves.friction_fit import steady_columns
 from lieid_casadi.identification.fit import Fit
+from lieid_casadi.robot.inertia import body_inertia
 
 SAMPLES = 400  # of speed, load and position, at which friction is evaluated
 SPEEDS = (0.02, 0.5)  # of the joint's velocity limit, from and to
 UNKNOWN_SPEED = 2.0  # rad/s, velocity limit of a robot that states none
+#: Stiffness of the spring that produces a constant torque, in parts of that torque per radian: the
+#: torque changes by this share over a radian.
+WEAK_SPRING = 1e-6
 WARM = 1e6  # s since the start, at which warm-up has ended
 EXACT = 1e-9  # relative error of friction of the linear form
 # coefficients that simulators have an attribute for
@@ -113,6 +119,73 @@ def linear_friction(fit: Fit) -> tuple[LinearFriction, ...]:
     return tuple(found)
 
 
+@dataclass(frozen=True)
+class PassiveTorques:
+    """Passive torques of a joint by the names of MuJoCo's attributes; None: the fit has none."""
+
+    armature: float
+    damping: float
+    frictionloss: float
+    stiffness: float | None
+    springref: float | None
+
+
+def passive_torques(fit: Fit, index: int, friction: LinearFriction) -> PassiveTorques:
+    """Return the passive torques of a joint (from 0); a constant one is that of a weak spring."""
+    own, drive = numbers_of_joint(fit, index), fit.model.robot.joints[index].drive
+    # of a servo's motor, which its duty's limit does not limit
+    servo = drive.damping if drive is not None and math.isfinite(drive.proportional_limit) else 0.0
+    offset, stiffness = own.get("offset.f_b", 0.0), own.get("position_spring.K", 0.0)
+    if offset and not stiffness:
+        stiffness = WEAK_SPRING * abs(offset)
+    return PassiveTorques(
+        max(own.get("armature.I_a", 0.0), 0.0),
+        friction.damping + servo,
+        friction.loss,
+        stiffness or None,
+        -offset / stiffness if stiffness else None,
+    )
+
+
+@dataclass(frozen=True)
+class ActuatorLaw:
+    """Gains of a position actuator, limit of its force, and the delay of its commands."""
+
+    stiffness: float  # N·m/rad
+    damping: float  # N·m·s/rad
+    force: float  # N·m
+    delay: float  # s
+
+
+def actuator_law(fit: Fit, index: int) -> ActuatorLaw | None:
+    """Return the law of a joint's actuator (from 0), None without a drive."""
+    joint, own = fit.model.robot.joints[index], numbers_of_joint(fit, index)
+    if joint.drive is None:
+        return None
+    drive = joint.drive.limited(joint.limits.torque)
+    force = min(drive.proportional_limit, drive.torque_limit)
+    if "torque_saturation.e_s" in own:
+        force = min(force, drive.stiffness * own["torque_saturation.e_s"])
+    damping = 0.0 if math.isfinite(drive.proportional_limit) else drive.damping
+    return ActuatorLaw(drive.stiffness, damping, force, own.get("command_delay.delta", 0.0))
+
+
+def numbers_of_joint(fit: Fit, index: int) -> dict[str, float]:
+    """Return the coefficients and shape parameters of a joint (from 0) by name."""
+    columns = (*fit.model.columns, *fit.model.shapes)
+    values = np.concatenate([fit.effect_coefficients, fit.shapes])
+    pairs = zip(columns, values, strict=True)
+    return {column.name: float(value) for column, value in pairs if column.joint == index}
+
+
+def inertial(parameters: Array) -> dict[str, str]:
+    """Return the attributes of MuJoCo's <inertial> of link parameters (10,)."""
+    body = body_inertia(parameters)
+    i = body.inertia
+    six = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+    return {"pos": vector(body.com), "mass": number(body.mass), "fullinertia": vector(six)}
+
+
 def beyond_linear_friction(friction: Sequence[LinearFriction]) -> list[str]:
     """Return a note on each joint whose friction has another form, with the error."""
     return [
@@ -150,3 +223,8 @@ def file_name(name: str) -> str:
 def number(value: float) -> str:
     """Return a number that reads back the same."""
     return repr(float(value) + 0.0)
+
+
+def vector(values: Array | Sequence[float]) -> str:
+    """Return numbers that read back the same, with spaces between them."""
+    return " ".join(number(value) for value in values)

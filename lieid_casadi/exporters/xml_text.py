@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
@@ -95,6 +96,20 @@ class XmlText:
             self.add_child(parent, text)
         else:
             self.replace(child, text.replace("\n", "\n" + self._indentation(child)))
+
+    def set_attributes(self, element: Element, values: Mapping[str, str | None]) -> None:
+        """Set attributes of a start tag, None to remove one; the others stay as they are."""
+        tag = self._data[element.start : element.opened].decode("utf-8")
+        end = "/>" if element.empty else ">"
+        tag, space = tag[: -len(end)], ""
+        for name, value in values.items():
+            stated = re.search(rf"""\s{re.escape(name)}\s*=\s*("[^"]*"|'[^']*')""", tag)
+            text = "" if value is None else f" {name}={attribute(value)}"
+            if stated is not None:
+                tag = tag[: stated.start()] + text + tag[stated.end() :]
+            elif text:
+                tag, space = tag.rstrip() + text, tag[len(tag.rstrip()) :] or space
+        self._edits.append((element.start, element.opened, tag + space + end))
 
     def edited(self) -> str:
         """Return the text with all edits."""

@@ -37,7 +37,7 @@ from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.messages import reason_of
 from lieid_casadi.model import Model
 from lieid_casadi.recording.processed import Processing
-from lieid_casadi.robot.description import STANDARD_GRAVITY
+from lieid_casadi.robot.description import STANDARD_GRAVITY, RobotSource
 from lieid_casadi.robot.drive import Drive
 from lieid_casadi.robot.robot import Robot
 from lieid_casadi.robot.yaml_file import write_yaml
@@ -166,15 +166,17 @@ def _check_sizes(model: Model, content: Content) -> None:
 def _robot_text(robot: Robot) -> dict[str, Any]:
     """Return the robot's own file, or YAML, with what it does not state; see `RobotText`."""
     drives = [_plain(drive) for drive in robot.drives or ()]
-    if robot.source is None:
+    s = robot.source
+    if s is None or s.kind == "mjcf":
+        files = None if s is None else {"files": s.files, "carried": s.carried}
         return {
             "kind": "yaml",
             "text": write_yaml(robot),
             "tip": None,
             "lock": [],
             "drives": drives,
+            "mjcf": files,
         }
-    s = robot.source
     text = {"kind": s.kind, "text": s.text, "tip": s.tip, "lock": list(s.lock), "drives": drives}
     if s.kind == "urdf" and not np.array_equal(robot.gravity, STANDARD_GRAVITY):
         text["gravity"] = [float(x) for x in robot.gravity]
@@ -200,8 +202,16 @@ def _described(file: RobotText) -> Robot:
     if file.kind == "urdf":
         return Robot.parse_urdf(file.text, tip=file.tip, lock=file.lock, origin=origin)
     if file.kind == "yaml":
-        return Robot.parse_yaml(file.text, origin=origin)
+        robot = Robot.parse_yaml(file.text, origin=origin)
+        return robot if file.mjcf is None else replace(robot, source=_model(file.mjcf, robot.n))
     raise FitFileError(f"robot of kind {file.kind[:20]!r}; expected urdf or yaml")
+
+
+def _model(file: ModelFiles, n: int) -> RobotSource:
+    if not file.files or [len(row) for _, row in file.carried] != [10] * n:
+        raise FitFileError("the MuJoCo model inside does not belong to its robot, fit again")
+    carried = tuple((body, tuple(float(x) for x in row)) for body, row in file.carried)
+    return RobotSource("mjcf", file.files[0][1], files=tuple(file.files), carried=carried)
 
 
 def _warning(item: WarningFile) -> LieidWarning:
@@ -232,10 +242,18 @@ class DriveFile(Struct, forbid_unknown_fields=True):
     servo: str
 
 
+class ModelFiles(Struct, forbid_unknown_fields=True):
+    """A MuJoCo model: names and texts of its files, and what moves with each joint's body."""
+
+    files: list[tuple[str, str]]
+    carried: list[tuple[str, list[Number]]]
+
+
 class RobotText(Struct, forbid_unknown_fields=True, omit_defaults=True):
     """The robot's own file, and what it does not state: the drives' laws, and the mounting.
 
-    ``gravity`` (3,) is left out where it is that of the file.
+    ``gravity`` (3,) is left out where it is that of the file. A robot from a MuJoCo model is
+    written as YAML, with the model beside it for exports.
     """
 
     kind: str
@@ -244,6 +262,7 @@ class RobotText(Struct, forbid_unknown_fields=True, omit_defaults=True):
     lock: list[str]
     drives: list[DriveFile] = []
     gravity: list[Number] | None = None
+    mjcf: ModelFiles | None = None
 
 
 class NoiseFile(Struct, forbid_unknown_fields=True):

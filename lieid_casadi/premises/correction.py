@@ -137,7 +137,7 @@ class Correction:
         """Return the robot as it is mounted."""
         if self.gravity is None:
             return robot
-        keeps = robot.source is not None and robot.source.kind == "urdf"  # no gravity in its text
+        keeps = robot.source is not None and robot.source.kind != "yaml"  # its text is not changed
         return replace(robot, gravity=self.gravity, source=robot.source if keeps else None)
 
 

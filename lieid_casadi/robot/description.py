@@ -81,13 +81,17 @@ class Joint:
 class RobotSource:
     """The text from which a robot was read: a fit embeds it, and exports edit it.
 
-    ``kind`` is ``"urdf"`` or ``"yaml"``; ``tip`` and ``lock`` are those of a URDF.
+    ``kind`` is ``"urdf"``, ``"mjcf"`` or ``"yaml"``; ``tip`` and ``lock`` are those of a URDF. A
+    MuJoCo model has the files that it includes beside its own (names relative to its folder, its
+    own first), and per joint the name of its body and the link parameters of what moves with it.
     """
 
     kind: str
     text: str
     tip: str | None = None
     lock: tuple[str, ...] = ()
+    files: tuple[tuple[str, str], ...] = ()
+    carried: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from lieid_casadi.robot.description import (
     Joint,
     Limits,
     RobotDescription,
+    RobotSource,
     read_text,
 )
 from lieid_casadi.robot.drive import Drive
@@ -57,7 +59,7 @@ def read_mjcf(
         raise MissingDependency(
             f"{path}: MuJoCo models need mujoco: pip install 'lieid-casadi[mujoco]'"
         ) from error
-    _require_bounded(Path(path))
+    files = _require_bounded(Path(path))
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         missing = _without_appearance(spec, Path(path))
@@ -78,17 +80,27 @@ def read_mjcf(
                 data.qpos[place] = model.key_qpos[0][place]
     mujoco.mj_kinematics(model, data)
     name = model.names[: model.names.find(b"\0")].decode(errors="replace")
+    carried = [
+        (model.body(b).name, tuple(_parameters(model, data, b, others[1:]).tolist()))
+        for b in chain
+        for others in [_rigid_with(model, b, chain)]
+    ]
     return RobotDescription(
         name=name or "robot",
         joints=tuple(_joint(model, data, b, _rigid_with(model, b, chain)) for b in chain),
         gravity=np.array(model.opt.gravity, dtype=float),
+        source=RobotSource("mjcf", files[0][1], files=tuple(files), carried=tuple(carried)),
         warnings=(*missing, *_locked(model, path, chain), *_not_read(model, path, chain)),
     )
 
 
-def _require_bounded(path: Path) -> None:
-    """Refuse a model, with the files that it includes, that asks for very many copies or cells."""
+def _require_bounded(path: Path) -> list[tuple[str, str]]:
+    """Return the names and texts of a model and of what it includes.
+
+    Refuses a model that asks for very many copies or cells.
+    """
     waiting: list[tuple[Path, tuple[Path, ...]]] = [(path, ())]
+    texts: dict[Path, str] = {}
     seen = 0
     while waiting:
         file, above = waiting.pop()
@@ -96,7 +108,7 @@ def _require_bounded(path: Path) -> None:
         if file in above or seen > MOST_FILES:
             what = "attaches itself" if file in above else f"reads more than {MOST_FILES} files"
             raise RobotError(f"{path}: the model {what}; expected a MuJoCo model")
-        text = read_text(file)
+        texts[file] = text = read_text(file)
         if "<!ENTITY" in text:
             raise RobotError(f"{file}: not a MuJoCo model: found an entity definition")
         try:
@@ -111,6 +123,7 @@ def _require_bounded(path: Path) -> None:
         below = (*root.iter("include"), *root.iterfind("asset/model"))
         files = [path.parent / name for element in below if (name := element.get("file"))]
         waiting += [(below, (*above, file)) for below in files if below.is_file()]
+    return [(os.path.relpath(file, path.parent), text) for file, text in texts.items()]
 
 
 def _sizes(element: ElementTree.Element, copies: float) -> Iterator[tuple[str, float, float]]:
@@ -299,13 +312,7 @@ def _joint(model: Any, data: Any, body: int, bodies: list[int]) -> Joint:
     axis, anchor = np.array(data.xaxis[index]), np.array(data.xanchor[index])
     hinge = int(model.jnt_type[index]) == 3
     screw = np.concatenate([axis, -np.cross(axis, anchor)] if hinge else [np.zeros(3), axis])
-    total = np.zeros(10)
-    for other in bodies:
-        between = np.asarray(np.linalg.solve(home, _pose(data, other)))
-        turn = _rotation(model.body_iquat[other])
-        inertia = turn @ np.diag(model.body_inertia[other]) @ turn.T
-        own = link_parameters(float(model.body_mass[other]), model.body_ipos[other], inertia)
-        total += parameter_transport(between) @ own
+    total = _parameters(model, data, body, bodies)
     low, high = model.jnt_range[index] if model.jnt_limited[index] else (NOT_STATED, NOT_STATED)
     zero = float(model.qpos0[model.jnt_qposadr[index]])
     drive, torque = _drive(model, index)
@@ -318,6 +325,18 @@ def _joint(model: Any, data: Any, body: int, bodies: list[int]) -> Joint:
         link_name=model.body(body).name,
         drive=drive,
     )
+
+
+def _parameters(model: Any, data: Any, body: int, bodies: Sequence[int]) -> Array:
+    """Return the link parameters (10,) of bodies together, in the frame of a body."""
+    total, home = np.zeros(10), _pose(data, body)
+    for other in bodies:
+        between = np.asarray(np.linalg.solve(home, _pose(data, other)))
+        turn = _rotation(model.body_iquat[other])
+        inertia = turn @ np.diag(model.body_inertia[other]) @ turn.T
+        own = link_parameters(float(model.body_mass[other]), model.body_ipos[other], inertia)
+        total += parameter_transport(between) @ own
+    return total
 
 
 def _drive(model: Any, joint: int) -> tuple[Drive | None, float]:
