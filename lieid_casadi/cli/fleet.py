@@ -60,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
     from lieid_casadi.fleet.cluster import RunOptions
     from lieid_casadi.fleet.config import read_fleet
     from lieid_casadi.fleet.history import History
+    from lieid_casadi.fleet.judging import outliers
     from lieid_casadi.fleet.run import run_fleet
-    from lieid_casadi.fleet.sisters import outliers
 
     _check(args)
     fleet = read_fleet(args.fleet)
@@ -178,10 +178,10 @@ def report(args: argparse.Namespace) -> output.Outcome:
     --since DATE: night  first night of trends and recordings
     --json FILE: output  write the alarms as JSON
     """
-    from lieid_casadi.fleet.alarms import evidence, read_alarms, suggested_action
+    from lieid_casadi.fleet.alarms import evidence, read_alarms
     from lieid_casadi.fleet.fleet_report import alarm_table, fleet_report
     from lieid_casadi.fleet.history import History
-    from lieid_casadi.fleet.sisters import outlier_table, outliers
+    from lieid_casadi.fleet.judging import outlier_table, outliers
 
     with History(args.history, read_only=True) as history:
         alarms, unlike = read_alarms(history), outliers(history)
@@ -192,10 +192,7 @@ def report(args: argparse.Namespace) -> output.Outcome:
         page = fleet_report(history, since=args.since) if args.html is not None else ""
     active = [alarm for alarm in alarms if alarm.closed is None]
 
-    actions = [
-        f"{alarm.serial}: {alarm.sentence}. Action: {suggested_action(alarm.quantity)}."
-        for alarm in active
-    ]
+    actions = [f"{alarm.serial}: {alarm.sentence}. Action: {alarm.action}." for alarm in active]
     shown: list[str | Table] = [alarm_table(active, with_action=False)]
     shown += [*(actions or ["No open alarm."]), outlier_table(unlike)]
     return output.Outcome(shown, json=content, html=lambda: page)

@@ -54,11 +54,6 @@ ACTIONS = {
 }
 
 
-def suggested_action(quantity: str) -> str:
-    """Return what to do about a change of a quantity, an effect or ``error``."""
-    return ACTIONS.get(quantity, INSPECT)
-
-
 @dataclass(frozen=True)
 class Alarm:
     """An alarm as in the history."""
@@ -68,7 +63,7 @@ class Alarm:
     quantity: str  # name of an effect, ``error`` or ``unexplained``
     since: date  # first night of the change
     last: date
-    change: float | None
+    change: float
     std: float | None
     unit: str
     sentence: str
@@ -86,12 +81,10 @@ class Alarm:
     limit_early: date | None = None  # for the bounds of the slope; None: never
     limit_late: date | None = None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the alarm for JSON; dates as ISO 8601."""
-        return {
-            key: value.isoformat() if isinstance(value, date) else value
-            for key, value in vars(self).items()
-        }
+    @property
+    def action(self) -> str:
+        """What to do about it."""
+        return ACTIONS.get(self.quantity, INSPECT)
 
     @property
     def labels(self) -> frozenset[str]:
@@ -172,16 +165,26 @@ def _described(
     named = _named(arm, since)
     coefficients = [c for c in changed if c.quantity.name != ERROR]
     own = next((c for c in coefficients if (c.quantity.effect, c.quantity.joint) in named), None)
-    if own is None and named:
-        return _of_finding(arm, since, named)
-    if own is None and coefficients:  # unless the residual of its joint is not explained
-        first = coefficients[0]
+    if own is None and not named and coefficients:
+        first = coefficients[0]  # unless the residual of its joint is not explained
         own = None if (UNEXPLAINED, first.quantity.joint) in arm.found[-1] else first
-    if own is not None:
-        return _of_coefficient(arm, own, since, named)
-    if before is not None and not changed:
+    if own is None and not named and before is not None and not changed:
         return before
-    return _of_error(arm, changed, since)
+    fields = (
+        _of_coefficient(arm, own, since) if own is not None
+        else _of_finding(named, since) if named
+        else _of_error(arm, changed, since)
+    )  # fmt: skip
+    quantity, joint = fields["quantity"], fields["joint"]
+    rivals = named[quantity, joint][-1].rivals if (quantity, joint) in named else ""
+    fields["sentence"] += f"; fits as well: {rivals}" if rivals else ""
+    others = [label_of(e, j) for e, j in named if (e, j) != (quantity, joint)]
+    if others and (own is not None or named):
+        fields["sentence"] += f"; also found: {', '.join(others[:3])}"
+    last, severity = arm.dates[-1], float(np.median(arm.shares[-SEVERITY_NIGHTS:]))
+    return Alarm(
+        serial=arm.serial, since=since, last=last, raised=last, severity=severity, **fields
+    )  # fmt: skip
 
 
 #: Effects and joints (from 1; None: the whole arm) with what the nights have found.
@@ -203,74 +206,60 @@ def _named(arm: ArmHistory, since: date) -> Named:
     return {key: found[key] for key in sorted(found, key=lambda k: (-size[k], k[0], k[1] or 0))}
 
 
-def _of_finding(arm: ArmHistory, since: date, named: Named) -> Alarm:
+def _of_finding(named: Named, since: date) -> dict[str, Any]:
+    """Return the fields of the alarm that is named after the largest effect."""
     (effect, joint), own = next(iter(named.items()))
     changes = [f.change for f in own]
-    change = float(np.median(changes))
+    change, unit = float(np.median(changes)), own[-1].unit
     stds = [f.std for f in own if f.std is not None]
     std = float(np.mean(stds)) if stds else None
     if len(changes) > 2:
         std = max(std or 0.0, float(np.std(changes, ddof=1)) / float(np.sqrt(len(changes))))
     where = f"joint {joint}" if joint else "the arm"
-    text = f"{effect} of {where} since {since}: {_amount(change, std, own[-1].unit)}"
-    return _alarm(
-        arm, effect, joint, since, change, std, own[-1].unit, text + _further(named, effect, joint)
-    )
+    text = f"{effect} of {where} since {since}: {_amount(change, std, unit)}"
+    return _fields(effect, joint, change, std, unit, text)
 
 
-def _of_coefficient(arm: ArmHistory, item: ChangedQuantity, since: date, named: Named) -> Alarm:
+def _of_coefficient(arm: ArmHistory, item: ChangedQuantity, since: date) -> dict[str, Any]:
+    """Return the fields of the alarm about a coefficient, with slope and limit of a drift."""
     change, quantity = item.change, item.quantity
-    unit = arm.units[quantity]
-    now = change.level + change.size
+    unit, now = arm.units[quantity], change.level + change.size
     text = (
         f"{quantity.name} of joint {quantity.joint} since {since}: "
         f"{_amount(change.size, change.std, unit)}, from {change.level:.4g} to {now:.4g} {unit}"
     )
     drift: dict[str, Any] = {}
     if change.kind == "drift":
-        names = ("slope", "slope_low", "slope_high")
-        drift = {name: getattr(change, name) for name in names}
+        drift = {name: getattr(change, name) for name in ("slope", "slope_low", "slope_high")}
         dates = _limit_dates(arm, item)
         drift |= zip(("limit_date", "limit_early", "limit_late"), dates, strict=True)
         text += (
             f"; drift of {change.slope_low:.3g} to {change.slope_high:.3g} {unit} per day (95 %)"
         )
         if dates[0] is not None:
-            late = "later" if dates[2] is None else dates[2]
-            text += f"; reaches its limit on {dates[0]} ({dates[1]} to {late})"
-    alarm = _alarm(
-        arm, quantity.effect, quantity.joint, since, change.size, change.std, unit,
-        text + _further(named, quantity.effect, quantity.joint),
-    )  # fmt: skip
-    return replace(alarm, **drift)
+            text += f"; reaches its limit on {dates[0]} ({dates[1]} to {dates[2] or 'later'})"
+    return drift | _fields(quantity.effect, quantity.joint, change.size, change.std, unit, text)
 
 
-def _of_error(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date) -> Alarm:
-    """Return the alarm of errors that no effect of the library explains."""
+def _of_error(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date) -> dict[str, Any]:
+    """Return the fields of the alarm about errors that no effect of the library explains."""
     item = next((c for c in changed if c.quantity.name == ERROR), changed[0])
     joint, factor = item.quantity.joint, float(np.exp(item.change.size))
-    quantity = UNEXPLAINED if (UNEXPLAINED, joint) in arm.found[-1] else ERROR
     text = f"error of joint {joint} since {since}: {factor:.3g} times as large as before"
-    if quantity == UNEXPLAINED:
-        text += f"; not explained by one effect: {arm.found[-1][UNEXPLAINED, joint].sentence}"
-    return _alarm(arm, quantity, joint, since, factor - 1.0, factor * item.change.std, "1", text)
+    unexplained = arm.found[-1].get((UNEXPLAINED, joint))
+    if unexplained is not None:
+        text += f"; not explained by one effect: {unexplained.sentence}"
+    quantity = ERROR if unexplained is None else UNEXPLAINED
+    return _fields(quantity, joint, factor - 1.0, factor * item.change.std, "1", text)
 
 
-def _alarm(
-    arm: ArmHistory,
-    quantity: str,
-    joint: int | None,
-    since: date,
-    change: float,
-    std: float | None,
-    unit: str,
-    text: str,
-) -> Alarm:
-    last = arm.dates[-1]
-    severity = float(np.median(arm.shares[-SEVERITY_NIGHTS:]))
-    return Alarm(
-        arm.serial, joint, quantity, since, last, change, std, unit, text, last, severity=severity
-    )
+def _fields(
+    quantity: str, joint: int | None, change: float, std: float | None, unit: str, text: str
+) -> dict[str, Any]:
+    return {
+        "quantity": quantity, "joint": joint, "change": change, "std": std, "unit": unit,
+        "sentence": text,
+    }  # fmt: skip
 
 
 def _limit_dates(arm: ArmHistory, item: ChangedQuantity) -> list[date | None]:
@@ -285,15 +274,6 @@ def _limit_dates(arm: ArmHistory, item: ChangedQuantity) -> list[date | None]:
         None if day is None or day >= FARTHEST_DATE else date.fromordinal(int(np.ceil(day)))
         for day in days
     ]
-
-
-def _further(named: Named, effect: str, joint: int | None) -> str:
-    """Return rivals of the named effect, and other effects that are found."""
-    own = named.get((effect, joint))
-    rivals = own[-1].sentence.partition("; fits as well: ")[2] if own else ""
-    text = f"; fits as well: {rivals}" if rivals else ""
-    others = [label_of(e, j) for e, j in named if (e, j) != (effect, joint)]
-    return text + (f"; also found: {', '.join(others[:3])}" if others else "")
 
 
 def _amount(change: float, std: float | None, unit: str) -> str:
@@ -377,7 +357,7 @@ def alarms_to_report(history: History, *, horizon: int = 0) -> list[Alarm]:
     alarms = read_alarms(history)
     chosen: list[Alarm] = []
     for k, alarm in enumerate(alarms):
-        size = abs(alarm.change or 0.0)
+        size = abs(alarm.change)
         near = alarm.limit_date is not None and (alarm.limit_date - alarm.last).days <= horizon
         grown = alarm.reported is None or size >= WORSE * alarm.reported > 0.0
         if alarm.closed is None and (grown or (near and not alarm.warned)):
@@ -398,9 +378,8 @@ def evidence(history: History, alarm: Alarm) -> dict[str, Any]:
     )
     recording, fit = rows[0] if rows else (None, None)
     command = shlex.join(["lieid", "workbench", fit, recording]) if recording and fit else None
-    return alarm.to_dict() | {
-        "action": suggested_action(alarm.quantity), "recording": recording, "command": command,
-    }  # fmt: skip
+    fields = {k: v.isoformat() if isinstance(v, date) else v for k, v in vars(alarm).items()}
+    return fields | {"action": alarm.action, "recording": recording, "command": command}
 
 
 def refit_advice(history: History, alarm: Alarm) -> str:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.fleet.changes import EARLIER_NIGHTS, LATEST_NIGHTS, NightSeries, used_nights
 from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.scatter import EARLIER_NIGHTS, LATEST_NIGHTS, NightSeries, used_nights
 
 ERROR = "error"  # name of the series of a joint's error
 #: Motions are the same if positions differ by less than this part of the range, and this, rad.
@@ -75,6 +75,11 @@ class FoundEffect:
     unit: str
     severity: float
     sentence: str
+
+    @property
+    def rivals(self) -> str:
+        """Effects that fit as well, separated by commas."""
+        return self.sentence.partition("; fits as well: ")[2]
 
 
 @dataclass(frozen=True, eq=False)

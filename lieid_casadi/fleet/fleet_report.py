@@ -12,16 +12,15 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison.plot_style import ERROR as ERROR_COLOUR
 from lieid_casadi.comparison.plot_style import GRID, SMALL, new_figure, title
-from lieid_casadi.fleet.alarms import Alarm, read_alarms, suggested_action
+from lieid_casadi.fleet.alarms import Alarm, read_alarms
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.sisters import outlier_table, outliers
+from lieid_casadi.fleet.judging import outlier_table, outliers
 from lieid_casadi.report import Section, data_uri, render
 from lieid_casadi.report.page import table_section
 from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -60,7 +59,7 @@ def plot_trends(arm: ArmHistory, alarms: Sequence[Alarm], since: date | None = N
             if alarm.since >= arm.dates[first]:
                 ax.axvline(np.datetime64(alarm.since), color=ERROR_COLOUR, linewidth=1.0, alpha=0.7)
         if lines is errors:
-            _logarithmic(ax)
+            ax.set_yscale("log")
             ax.legend(fontsize=SMALL, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     return figure
 
@@ -76,16 +75,6 @@ def _coefficient(arm: ArmHistory, name: str) -> tuple[str, dict[int, Array]]:
             lines[quantity.joint] = scale * (series.values - reference)
             unit = "%" if relative else arm.units[quantity]
     return f"{name}: change from the first nights, {unit}", lines
-
-
-def _logarithmic(ax: Axes) -> None:
-    """Use a logarithmic scale with plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
-
-    ax.set_yscale("log")
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.yaxis.set_major_formatter(ScalarFormatter())
-    ax.yaxis.set_minor_formatter(NullFormatter())
 
 
 ARM_SECTIONS_FROM = 5  # number of the first arm's section in the page
@@ -131,8 +120,9 @@ def alarm_table(alarms: Sequence[Alarm], *, with_action: bool = True) -> Table:
         (
             a.serial, a.joint, a.quantity, a.change,
             None if a.std is None else f"{a.std:.2g}", "" if a.unit == "1" else a.unit,
-            a.since, f"{100 * a.severity:.1f} %", _limit(a),
-            *([suggested_action(a.quantity)] if with_action else []),
+            a.since, f"{100 * a.severity:.1f} %",
+            a.limit_date and f"{a.limit_date} ({a.limit_early} to {a.limit_late or 'later'})",
+            *([a.action] if with_action else []),
         )
         for a in alarms
     ]  # fmt: skip
@@ -144,13 +134,6 @@ def alarm_table(alarms: Sequence[Alarm], *, with_action: bool = True) -> Table:
         "torque, of the joint where it is largest; the table is sorted by it. The change is that "
         "of the last night; of an error it is relative.",
     )
-
-
-def _limit(alarm: Alarm) -> str | None:
-    """Return when a drift reaches its limit, with the range of dates."""
-    if alarm.limit_date is None:
-        return None
-    return f"{alarm.limit_date} ({alarm.limit_early} to {alarm.limit_late or 'later'})"
 
 
 def arm_table(arms: Sequence[ArmHistory], alarms: Sequence[Alarm]) -> Table:
@@ -209,7 +192,7 @@ def closed_table(alarms: Sequence[Alarm]) -> Table:
 
 def _arm_section(arm: ArmHistory, alarms: Sequence[Alarm], since: date | None) -> Section:
     active = [alarm for alarm in alarms if alarm.closed is None]
-    note = " ".join(f"{a.sentence}. Action: {suggested_action(a.quantity)}." for a in active)
+    note = " ".join(f"{a.sentence}. Action: {a.action}." for a in active)
     picture = {
         "uri": data_uri(plot_trends(arm, alarms, since), dpi=80.0, colors=64),
         "alt": f"trends of {arm.serial}",

@@ -101,41 +101,6 @@ VIEWS = {
     "median(p.value) AS median, 1.4826 * mad(p.value) AS spread FROM latest l JOIN arms a "
     "USING (serial) JOIN parameters p USING (run_id, serial) GROUP BY a.robot, p.name, p.joint",
 }
-#: Statements that lead from a schema to the next one.
-MIGRATIONS: dict[int, tuple[str, ...]] = {
-    1: (  # bounds of a drift's slope in place of its standard deviation
-        "ALTER TABLE alarms DROP COLUMN slope_std",
-        "ALTER TABLE alarms ADD COLUMN slope_low DOUBLE",
-        "ALTER TABLE alarms ADD COLUMN slope_high DOUBLE",
-    ),
-    2: (  # what identifies the motion of a night
-        "ALTER TABLE runs ADD COLUMN payload VARCHAR",
-        *(f"ALTER TABLE errors ADD COLUMN q_{x} DOUBLE" for x in ("low", "high", "mean", "std")),
-    ),
-    3: (  # expected nights, validity in time, versions of workers and of the method
-        "ALTER TABLE runs ADD COLUMN method INTEGER DEFAULT 1",
-        *(f"ALTER TABLE arms ADD COLUMN {name} DATE" for name in ("since", "fit_from", "retired")),
-        "ALTER TABLE arms ADD COLUMN fit VARCHAR",
-        "ALTER TABLE alarms ADD COLUMN reported DOUBLE",
-        "UPDATE alarms SET reported = abs(change)",
-        "ALTER TABLE alarms ADD COLUMN warned BOOLEAN DEFAULT false",
-        *(f"CREATE TABLE {name} ({TABLES[name]})" for name in ("maintenance", "nights", "calls")),
-    ),
-    4: (  # range of dates of a limit; times with a zone
-        "ALTER TABLE alarms ADD COLUMN limit_early DATE",
-        "ALTER TABLE alarms ADD COLUMN limit_late DATE",
-        *(
-            f"ALTER TABLE {table} ALTER {name} TYPE TIMESTAMPTZ "
-            f"USING {name}::TIMESTAMP AT TIME ZONE 'UTC'"
-            for table, name in (
-                ("runs", "started"),
-                ("acknowledgements", "written"),
-                ("judged", "written"),
-                ("calls", "finished"),
-            )
-        ),
-    ),
-}
 #: Expected nights of arms, with the best status of their recordings.
 NIGHTS = """
 INSERT INTO nights
@@ -296,9 +261,9 @@ class History(AbstractContextManager["History"]):
         """
         kept = (
             "WITH kept AS (SELECT * FROM runs WHERE status <> 'failed' AND list_contains(?, serial)"
-            " AND coalesce(method = ?, true)) "
+            " AND (? IS NULL OR method = ?)) "
         )
-        values: list[object] = [list(serials), method]
+        values: list[object] = [list(serials), method, method]
         files = self.rows(
             kept + "SELECT serial, recording, stamp, fit_sha256, condition FROM kept UNION ALL "
             "SELECT p.serial, p.recording, p.stamp, r.fit_sha256, r.condition "
@@ -422,20 +387,30 @@ def _connect(path: str, *, read_only: bool, wait: float) -> DuckDBPyConnection:
 
 
 def _prepare(connection: DuckDBPyConnection, path: str) -> None:
-    """Make the tables of a new file, or migrate those of an older one."""
-    is_new = not connection.execute("SHOW TABLES").fetchall()
-    schema = 0 if is_new else _schema_of(connection, path)
-    if schema == SCHEMA:
+    """Make the tables of a new file; those of an older schema keep the columns that both have."""
+    tables = connection.execute("SHOW TABLES").fetchall()
+    if tables and _schema_of(connection, path) == SCHEMA:
         return
     connection.execute("BEGIN")
-    if is_new:
-        for name, columns in TABLES.items():
-            connection.execute(f"CREATE TABLE {name} ({columns})")
+    for name, columns in TABLES.items():
+        if (name,) in tables:
+            connection.execute(f"CREATE TEMP TABLE old_{name} AS FROM {name}")
+            connection.execute(f"DROP TABLE {name}")
+        connection.execute(f"CREATE TABLE {name} ({columns})")
+        if (name,) in tables:
+            own = {row[0] for row in connection.execute(f"DESCRIBE {name}").fetchall()}
+            old = connection.execute(f"DESCRIBE old_{name}").fetchall()
+            both = ", ".join(
+                f"{x} AT TIME ZONE 'UTC' AS {x}" if kind == "TIMESTAMP" else x
+                for x, kind, *_ in old
+                if x in own
+            )
+            connection.execute(f"INSERT INTO {name} BY NAME SELECT {both} FROM old_{name}")
+            connection.execute(f"DROP TABLE old_{name}")
+    if tables:
+        connection.execute("UPDATE history SET schema = ?", [SCHEMA])
+    else:
         connection.execute("INSERT INTO history VALUES (?, NULL)", [SCHEMA])
-    for step in range(schema, SCHEMA) if schema else ():
-        for statement in MIGRATIONS[step]:
-            connection.execute(statement)
-    connection.execute("UPDATE history SET schema = ?", [SCHEMA])
     for name, query in VIEWS.items():
         connection.execute(f"CREATE OR REPLACE VIEW {name} AS {query}")
     for name, text in COMMENTS.items():

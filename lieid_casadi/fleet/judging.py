@@ -1,4 +1,4 @@
-"""Which quantities of which arms have changed by a night, over the whole fleet."""
+"""Which quantities of which arms have changed by a night, and which arms are unlike their kind."""
 
 from __future__ import annotations
 
@@ -9,25 +9,35 @@ from datetime import date
 from operator import itemgetter
 
 import numpy as np
-from scipy.stats import false_discovery_control
+from scipy.stats import false_discovery_control, median_abs_deviation
+from scipy.stats import t as student
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, Quantity
-from lieid_casadi.fleet.changes import FEWEST_NIGHTS, Change, repeated_finding, strongest_change
-from lieid_casadi.fleet.scatter import (
+from lieid_casadi.fleet.changes import (
     EXPECTED_SLOW,
+    FEWEST_NIGHTS,
+    Change,
     NightSeries,
     ScatterPrior,
     TemperaturePrior,
+    repeated_finding,
     scatter_prior,
+    strongest_change,
     temperature_prior,
 )
+from lieid_casadi.fleet.history import History
+from lieid_casadi.tables import Table, make_table
 
 FALSE_ALARMS = 5e-4  # per arm and night, at most
 DISCOVERY_RATE = 0.05  # false discoveries among the arms with a new change, at most
 LEAST_SIZE = 3.0  # of a change, in units of the night-to-night scatter
 SEEN_WITHOUT_NIGHT = 0.01  # p-value at which nights show a change without any one of them
 RARE_FINDING = 0.002  # least rate of a finding, per night
+FEWEST_ARMS = 6  # of one kind that are compared
+MOST_OUTLIERS = 0.25  # part of the arms of a kind
+FALSE_OUTLIERS = 1e-3  # of the arms of one kind together, if their coefficients are normal
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,3 +214,92 @@ def _is_relevant(arm: ArmHistory, item: ChangedQuantity | RepeatedEffect) -> boo
         return True
     joints = {joint for _, joint in arm.found[-1]}
     return item.since == arm.dates[-1] and bool(joints & {None, item.quantity.joint})
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A coefficient of an arm that is unlike those of the other arms with the same robot."""
+
+    serial: str
+    robot: str
+    name: str
+    joint: int  # from 1
+    value: float  # on the latest night
+    median: float  # over the arms
+    spread: float  # robust standard deviation over the arms
+    unit: str
+    arms: int
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        usual = f"{self.median:.4g} ± {self.spread:.2g} {self.unit}"
+        return (
+            f"{self.serial}: {self.name} of joint {self.joint} is {self.value:.4g} {self.unit}; "
+            f"that of the {self.arms} arms {self.robot!r} is {usual}"
+        )
+
+
+def outliers(history: History) -> list[Outlier]:
+    """Return the outliers among arms with the same robot, on the latest night of each."""
+    kinds = defaultdict[str, dict[tuple[str, int, str], list[tuple[str, float]]]](
+        lambda: defaultdict(list)
+    )
+    for robot, name, joint, unit, serial, value in history.rows(
+        "SELECT a.robot, p.name, p.joint, p.unit, serial, p.value FROM latest l "
+        "JOIN arms a USING (serial) JOIN parameters p USING (run_id, serial) "
+        "WHERE isfinite(p.value) ORDER BY ALL"
+    ):
+        kinds[robot][name, joint, unit].append((serial, value))
+    found = []
+    for robot, coefficients in kinds.items():
+        for (name, joint, unit), rows in coefficients.items():
+            values = np.array([value for _, value in rows])
+            for k in extreme(values, FALSE_OUTLIERS / len(coefficients)):
+                middle = float(np.median(values))
+                spread = float(median_abs_deviation(values, scale="normal"))
+                serial, value = rows[k]
+                found.append(
+                    Outlier(serial, robot, name, joint, value, middle, spread, unit, len(rows))
+                )
+    return sorted(found, key=lambda x: (x.serial, x.joint, x.name))
+
+
+def extreme(values: Array, level: float) -> list[int]:
+    """Return the positions of outliers among normal values (N,), at a false rate of ``level``.
+
+    The generalized extreme Studentized deviate test (Rosner, Technometrics 25, 1983): the most
+    extreme value is removed again and again, so that outliers do not hide each other.
+    """
+    count = len(values)
+    if count < FEWEST_ARMS:
+        return []
+    rest, removed, outliers = np.arange(count), list[int](), 0
+    for step in range(1, int(MOST_OUTLIERS * count) + 1):
+        own = values[rest]
+        spread = float(own.std(ddof=1))
+        if not spread > 0.0:
+            break
+        worst = int(np.argmax(np.abs(own - own.mean())))
+        deviation = abs(float(own[worst] - own.mean())) / spread
+        n = len(rest)
+        quantile = float(student.isf(level / (2.0 * n), n - 2))
+        critical = (n - 1) * quantile / np.sqrt((n - 2 + quantile**2) * n)
+        removed.append(int(rest[worst]))
+        rest = np.delete(rest, worst)
+        if deviation > critical:
+            outliers = step
+    return removed[:outliers]
+
+
+def outlier_table(found: Sequence[Outlier]) -> Table:
+    """Return one row per outlier."""
+    return make_table(
+        "Arms unlike the others of their kind",
+        ("serial", "robot", "coefficient", "joint", "value", "median", "spread", "unit", "arms"),
+        [
+            (x.serial, x.robot, x.name, x.joint, x.value, x.median, x.spread, x.unit, x.arms)
+            for x in found
+        ],
+        note="On the latest night of each arm. Spread: robust standard deviation over the arms.",
+    )

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path
 from re import Pattern
-from types import FrameType
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 from lieid_casadi.errors import FleetError, MissingDependency
 from lieid_casadi.messages import reason_of
 
 T = TypeVar("T")
-SEARCH_SECONDS = 2.0  # for the date in one path
 ATTEMPTS, FIRST_WAIT = 3, 0.5  # at a store that cannot be reached; seconds, doubled each time
 FOLDER_FILES = ("metadata.yaml", "meta/info.json")  # of recordings that are folders
 MODIFIED_KEYS = ("LastModified", "last_modified", "mtime", "updated", "modified", "created")
@@ -92,14 +88,7 @@ def night_of(file: RecordingFile, pattern: Pattern[str] | None) -> date:
                 "path and the key 'night' in the fleet file"
             )
         return file.modified.date()
-    try:
-        with _time_limit(SEARCH_SECONDS):
-            match = pattern.search(file.location)
-    except TimeoutError:
-        raise FleetError(
-            f"{file.location}: the search for 'night' ({pattern.pattern}) was stopped after "
-            f"{SEARCH_SECONDS:g} s; expected an expression without nested repetitions such as (a+)+"
-        ) from None
+    match = pattern.search(file.location)
     if match is None:
         raise FleetError(f"{file.location}: 'night' ({pattern.pattern}) does not match this path")
     text = match["date"]
@@ -110,28 +99,6 @@ def night_of(file: RecordingFile, pattern: Pattern[str] | None) -> date:
             f"{file.location}: found {text!r} as date, expected ISO 8601 such as 2026-11-20"
         ) from None
     return (stated.astimezone(UTC) if stated.tzinfo else stated).date()
-
-
-@contextlib.contextmanager
-def _time_limit(seconds: float) -> Iterator[None]:
-    """Raise TimeoutError after a time, in the main thread; others cannot be interrupted.
-
-    Expressions with nested repetitions take a time that doubles with every character of a path.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(signal_number: int, frame: FrameType | None) -> NoReturn:
-        raise TimeoutError
-
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def _file_system(location: str) -> tuple[Any, str]:

@@ -27,11 +27,11 @@ from fleet.changing_fleet import FIRST_NIGHT, arms_of, write_simulated_fleet  # 
 
 from lieid_casadi.fleet.alarms import alarms_after  # noqa: E402
 from lieid_casadi.fleet.arm_history import read_arms  # noqa: E402
+from lieid_casadi.fleet.changes import NightSeries  # noqa: E402
 from lieid_casadi.fleet.cluster import RunOptions  # noqa: E402
 from lieid_casadi.fleet.config import read_fleet  # noqa: E402
 from lieid_casadi.fleet.history import History  # noqa: E402
 from lieid_casadi.fleet.run import run_fleet  # noqa: E402
-from lieid_casadi.fleet.scatter import NightSeries  # noqa: E402
 
 #: Arms and nights unless stated otherwise; ``null`` uses the history of ``changes``.
 SIZES = {
@@ -196,7 +196,7 @@ def looped(arms, folder: Path, nights: int) -> int:
 
     count = 0
     for arm in arms:
-        fit = lieid.Fit.load(arm.fit)
+        fit = lieid.Fit.load(arm.fits[0].value)
         for file in sorted((folder / "nights" / arm.serial).iterdir())[:nights]:
             lieid.diagnose(fit, lieid.Recording.load(file))
             count += 1

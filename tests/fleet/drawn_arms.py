@@ -12,7 +12,7 @@ import numpy as np
 
 from lieid_casadi.fleet.arm_history import ERROR, LEAST_ERROR_SCATTER, ArmHistory, Quantity
 from lieid_casadi.fleet.arm_history import FoundEffect as Found
-from lieid_casadi.fleet.scatter import NightSeries
+from lieid_casadi.fleet.changes import NightSeries
 
 FIRST = date(2026, 1, 1)
 TAILS = 8  # degrees of freedom of the scatter's t distribution

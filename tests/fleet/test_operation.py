@@ -18,7 +18,6 @@ from lieid_casadi.fleet.alarms import Alarm, alarms_to_report, judge_new_nights,
 from lieid_casadi.fleet.arm_history import read_arms
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.night_result import NightResult
-from lieid_casadi.fleet.recordings import RecordingFile, night_of
 from lieid_casadi.identification import Fit
 
 LAST = "2026-01-04"
@@ -254,12 +253,3 @@ def test_a_judgement_uses_at_most_a_hundred_nights(tmp_path):
         (alarm,) = judge_new_nights(history)
     assert (alarm.serial, alarm.quantity, alarm.joint) == ("A1", "coulomb", 2)
     assert alarm.slope_low < 0.0008 < alarm.slope_high  # slow wear from the first night
-
-
-def test_an_expression_that_backtracks_for_ever_is_stopped(monkeypatch):
-    import re
-
-    monkeypatch.setattr("lieid_casadi.fleet.recordings.SEARCH_SECONDS", 0.05)
-    path = RecordingFile("nights/" + "a" * 60 + ".csv", "", None)
-    with pytest.raises(FleetError, match="nested repetitions"):
-        night_of(path, re.compile(r"(?P<date>(a+)+)!"))

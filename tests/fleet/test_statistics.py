@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lieid_casadi.fleet.changes import repeated_finding, strongest_change
-from lieid_casadi.fleet.scatter import (
+from lieid_casadi.fleet.changes import (
     NightSeries,
     ScatterPrior,
+    repeated_finding,
     scatter_prior,
+    strongest_change,
     temperature_prior,
 )
 
