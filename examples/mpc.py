@@ -50,8 +50,8 @@ class Run:
         return float(np.abs(self.q[self.t > self.t[-1] - 0.2] - self.goal).max())
 
 
-def controller(robot, torque, solver="hpipm"):
-    """Return ``(state, goal, variables, multipliers) -> (variables, multipliers)``.
+def problem(robot, torque):
+    """Return the optimal control problem, and its parameters: the state and the goal.
 
     Variables are ddq and the state after it, interval by interval, as structured solvers expect.
     """
@@ -75,7 +75,13 @@ def controller(robot, torque, solver="hpipm"):
         cost += WEIGHTS["acceleration"] * ca.sumsqr(ddq)
     last = states[-1]
     opti.minimize(cost + WEIGHTS["end"] * (ca.sumsqr(last[:n] - goal) + ca.sumsqr(last[n:])))
-    name, options = options_of(solver, opti, n)
+    return opti, now, goal
+
+
+def controller(robot, torque, solver="hpipm"):
+    """Return ``(state, goal, variables, multipliers) -> (variables, multipliers)``."""
+    opti, now, goal = problem(robot, torque)
+    name, options = options_of(solver, opti, robot.n)
     opti.solver(name, {"expand": True, "print_time": False, "error_on_fail": False, **options})
     return opti.to_function("mpc", [now, goal, opti.x, opti.lam_g], [opti.x, opti.lam_g])
 

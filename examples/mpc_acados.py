@@ -1,8 +1,9 @@
 """The identified dynamics of an arm as an acados model, the payload being a run-time parameter.
 
-acados is installed from its sources (https://docs.acados.org), not from PyPI. Where it is
-installed, the solver of a small tracking problem is generated and run once; where it is not, the
-model is printed. Run this file:
+A simulated arm with friction is identified; its friction is smooth within SMOOTH, and stiff there,
+so that the integrator is implicit. acados is installed from its sources
+(https://docs.acados.org), not from PyPI. Where it is installed, the solver of a small tracking
+problem is generated and run once; where it is not, the model is printed. Run this file:
 
     python examples/mpc_acados.py
 """
@@ -14,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 import lieid_casadi as lieid
+from lieid_casadi import plant
 
 HORIZON, INTERVALS = 0.5, 20  # s
 SMOOTH = 0.02  # rad/s
@@ -47,14 +49,24 @@ def fill(model, source, *, name="arm"):
     return model
 
 
-def solve(robot, goal):
+def identified(arm):
+    """Return the fit to a recording of a simulated arm."""
+    motion = plant.FourierTrajectory(arm.robot, base_frequency=0.05, seed=1)
+    t = np.arange(0.0, 20.0, 0.002)
+    sensors = plant.demo_sensors(arm.robot)
+    run = plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=1)
+    model = lieid.Model(arm.robot, "coulomb,viscous,offset")
+    return lieid.identify(model, run, method="feasible")
+
+
+def solve(fit, goal):
     """Generate acados' solver of a motion to a goal pose (n,) and return the first torque."""
     from acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver
 
-    ocp, n = AcadosOcp(), robot.n
-    ocp.model = fill(AcadosModel(), robot)
+    ocp, robot, n = AcadosOcp(), fit.model.robot, fit.model.n
+    ocp.model = fill(AcadosModel(), fit)
     ocp.solver_options.N_horizon, ocp.solver_options.tf = INTERVALS, HORIZON
-    ocp.solver_options.integrator_type = "ERK"
+    ocp.solver_options.integrator_type = "IRK"  # any step
     target = np.concatenate([goal, np.zeros(n)])
     ocp.cost.cost_type = ocp.cost.cost_type_e = "EXTERNAL"
     error = ocp.model.x - target
@@ -70,11 +82,11 @@ def solve(robot, goal):
 
 
 def main():
-    robot = lieid.robots.two_link()
+    fit = identified(plant.demo_arm(lieid.robots.two_link(), hidden=None))
     try:
-        print("first torque, N·m:", solve(robot, np.array([0.5, -0.3])))
+        print("first torque, N·m:", solve(fit, np.array([0.5, -0.3])))
     except ImportError:
-        model = fill(ModelExpressions(), robot)
+        model = fill(ModelExpressions(), fit)
         print("acados_template is not installed; the model that it would be given:")
         for name, value in vars(model).items():
             print(f"  {name}: {value if isinstance(value, str) else value.shape}")

@@ -18,7 +18,12 @@ from lieid_casadi.excitation import default_limits
 from lieid_casadi.excitation.checks import MARGIN
 from lieid_casadi.excitation.limits import Limit
 from lieid_casadi.experiments.folder import STATE, ExperimentFolder, identity_of
-from lieid_casadi.experiments.motion import MotionDesign, PlannedMotion, Progress
+from lieid_casadi.experiments.motion import (
+    LEAST_SECONDS,
+    MotionDesign,
+    PlannedMotion,
+    Progress,
+)
 from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
 from lieid_casadi.experiments.record import Recorded, check_premises, doubts
 from lieid_casadi.experiments.result import Experiment, Round
@@ -30,7 +35,6 @@ from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot import Robot
 
 Record = Callable[[PlannedMotion], Recording]
-LEAST_SECONDS = 5.0  # of a motion beside the probe
 SHORTEST_PROBE = 1.0  # s
 
 

@@ -35,7 +35,8 @@ PROBE_SIZE = 0.5  # of the largest motion within the limits
 HARMONICS = 5
 EXCITATION_STARTS = 2
 STARTS, EVALUATIONS = 60, 400  # of the search for a separating motion
-PARTS = (1, 2)  # periods in one motion that are compared: a long one and short ones
+PARTS = (1, 2)  # of the time of a motion that are compared: a long one and short ones
+LEAST_SECONDS = 5.0  # of a motion beside the probe
 WORTH = 0.4  # of an excitation: ln of the factor by which it lowers standard deviations
 LEAST_INFORMATION = 1e-9  # relative to that of an excitation
 SWEEP_SPEEDS = (0.03, 0.15, 0.6)  # of the velocity limit
@@ -166,11 +167,11 @@ class MotionDesign:
             main, promise = self._ranging(purpose, number, fit, progress)
         elif purpose.kind == "parameters":
             main, promise = self._exciting(fit, number, "logdet", progress)
-        else:  # recordings of little motion cannot bound the torque of larger motion
-            fit = self.fit
-            main, promise = self._exciting(fit, number, "combined", progress)
-            if found is not None and information_gain(found, recordings, main) < WORTH:
+        else:
+            main, promise, worth = self._first_excitation(found, recordings, number, progress)
+            if worth < WORTH:
                 return None
+            fit = self.fit
         whole, arm = joined(self.probe, main), None if fit is None else FittedArm.of(fit)
         robot = self.model.robot
         verified = verify(robot, whole, self.range, on_arm(self.limits, robot, arm), arm)
@@ -179,13 +180,42 @@ class MotionDesign:
             verified.checked, verified.unchecked, folder,
         )  # fmt: skip
 
+    def _first_excitation(
+        self, found: Fit | None, recordings: Sequence[Recording], number: int, progress: Progress
+    ) -> tuple[MotionSamples, str, float]:
+        """Return the excitation that is expected to show most per second, and what it is worth.
+
+        A long motion and a short one are compared; without a recording it is the long one.
+        Recordings of little motion cannot bound the torque of larger motion: ``found`` is not used
+        for the limits.
+        """
+        if found is None:
+            return *self._exciting(self.fit, number, "combined", progress), np.inf
+        before = information(found, [s for r in recordings for s in process(r, found.processing)])
+        known, probe = sum(r.duration for r in recordings) * before, float(self.probe.t[-1])
+        best, most = None, -np.inf
+        for parts in (p for p in PARTS if p == 1 or self.seconds / p >= LEAST_SECONDS):
+            main, text = self._exciting(self.fit, number, "combined", progress, parts=parts)
+            rate, seconds = information(found, [main]), float(main.t[-1])
+            per_second = precision_gain(known, known + seconds * rate) / (probe + seconds)
+            if per_second > most:
+                best, most = (main, text, precision_gain(before, rate)), per_second
+        assert best is not None
+        return best
+
     def _exciting(
-        self, fit: Fit | None, number: int, criterion: CriterionName, progress: Progress
+        self,
+        fit: Fit | None,
+        number: int,
+        criterion: CriterionName,
+        progress: Progress,
+        *,
+        parts: int = 1,
     ) -> tuple[MotionSamples, str]:
         """Return an excitation of all parameters."""
         design = excite(
             self.model if fit is None else fit,
-            criterion=criterion, duration=self.seconds, harmonics=HARMONICS,
+            criterion=criterion, duration=self.seconds / parts, harmonics=HARMONICS,
             starts=EXCITATION_STARTS, seed=self.seed + 10 * number, progress=progress,
             **self._shared,
         )  # fmt: skip
@@ -269,29 +299,24 @@ def joined(first: MotionSamples, second: MotionSamples) -> MotionSamples:
     return MotionSamples(np.concatenate([first.t[:-1], first.t[-1] + second.t]), *kinds)
 
 
-def information_gain(fit: Fit, recordings: Sequence[Recording], motion: MotionSamples) -> float:
-    """Return by how much ln of the standard deviations of base parameters would be smaller.
+def information(fit: Fit, parts: Sequence[MotionSamples | Processed]) -> Array:
+    """Return the information (p, p) per second on base parameters, relative to the noise.
 
-    It is the mean over the parameters of rigid body, friction and offset, of recordings of the
-    length of the given ones along this motion.
+    The parameters are those of rigid body, friction and offset.
     """
     compiled = compile(Model(fit.model.robot, JOINT_SIDE))
+    columns = [compiled.base_regressor(p.q, p.dq, p.ddq) for p in parts]
+    y = np.concatenate(columns) / fit.noise[:, None]
+    rows = y.reshape(-1, y.shape[2])
+    return np.asarray(rows.T @ rows / len(y))
 
-    def information(parts: Sequence[MotionSamples | Processed]) -> Array:
-        """Gram matrix of the base regressor per sample, in units of the noise."""
-        columns = [compiled.base_regressor(p.q, p.dq, p.ddq) for p in parts]
-        y = np.concatenate(columns) / fit.noise[:, None]
-        rows = y.reshape(-1, y.shape[2])
-        return np.asarray(rows.T @ rows / len(y))
 
-    new = information([motion])
-    scale = np.sqrt(np.outer(np.diag(new), np.diag(new)))
-    segments = [part for r in recordings for part in process(r, fit.processing)]
-    logs = [
-        np.linalg.slogdet(gram / scale + LEAST_INFORMATION * np.eye(len(new)))[1]
-        for gram in (new, information(segments))
-    ]
-    return float(logs[0] - logs[1]) / (2.0 * len(new))
+def precision_gain(before: Array, after: Array) -> float:
+    """Return ln of the factor by which standard deviations fall, as a mean over the parameters."""
+    scale = np.sqrt(np.outer(np.diag(after), np.diag(after)))
+    least = LEAST_INFORMATION * np.eye(len(after))
+    logs = [np.linalg.slogdet(each / scale + least)[1] for each in (after, before)]
+    return float(logs[0] - logs[1]) / (2.0 * len(after))
 
 
 def rival_sizes(fit: Fit, group: Group, recordings: Sequence[Recording]) -> dict[str, list[float]]:

@@ -74,7 +74,7 @@ def symmetric(upper):
 
 
 def test_energy(arm, functions):
-    """The power of the torque is the rate of the energy, by central differences."""
+    """The potential energy up to a constant."""
     model, data = arm.pinocchio, arm.pinocchio.createData()
     for q, dq, _ in arm.moments[:3]:
         kinetic, potential = functions.energy(q, dq)

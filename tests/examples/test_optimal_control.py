@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
+from lieid_casadi import plant
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "examples"))
 
@@ -28,14 +29,16 @@ def test_the_fastest_motion_keeps_the_limits_on_the_simulated_arm(tmp_path):
     assert (tmp_path / "motion.png").stat().st_size > 10_000
 
 
-def test_a_model_of_acados_has_the_arms_dynamics():
-    robot = lieid.robots.two_link()
-    model = mpc_acados.fill(mpc_acados.ModelExpressions(), robot)
+def test_a_model_of_acados_has_the_identified_arms_dynamics():
+    arm = plant.demo_arm(lieid.robots.two_link(), hidden=None)
+    model = mpc_acados.fill(mpc_acados.ModelExpressions(), mpc_acados.identified(arm))
     explicit = ca.Function("f", [model.x, model.u, model.p], [model.f_expl_expr])
     symbols = [model.x, model.xdot, model.u, model.p]
     implicit = ca.Function("g", symbols, [model.f_impl_expr])
-    x, u = np.array([0.3, -0.2, 0.5, 0.4]), np.array([1.0, -0.5])
-    body = np.concatenate([[2.0, 0.1, 0.0, 0.0], 0.01 * np.array([1, 0, 1, 0, 0, 1])])
+    q, dq, ddq = np.array([[[0.3, -0.2]], [[0.5, 0.4]], [[2.0, -3.0]]])
+    u = plant.move_along(arm, np.zeros(1), q, dq, ddq).tau[0]  # friction changes ddq by more than 3
+    x, body = np.concatenate([q[0], dq[0]]), np.array([2, 0.2, 0, 0, 0.01, 0, 0.01, 0, 0, 0.01])
+    np.testing.assert_allclose(explicit(x, u, np.zeros(10)).full()[2:, 0], ddq[0], atol=0.3)
     xdot = explicit(x, u, body)
     assert np.abs(implicit(x, xdot, u, body).full()).max() < 1e-10
     assert np.abs((xdot - explicit(x, u, np.zeros(10))).full()).max() > 0.1

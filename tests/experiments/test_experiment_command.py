@@ -56,7 +56,7 @@ def test_a_motion_is_shown_before_it_is_run(words, tmp_path, capsys, monkeypatch
     monkeypatch.setattr(sys, "stdin", Terminal("n\n"))
     assert main([*words, "--record", RECORD]) == 3
     shown = capsys.readouterr()
-    assert "The robot moves for 13 s along" in shown.out
+    assert "The robot moves for 8 s along" in shown.out
     assert "Not checked: " in shown.out
     assert "Run it on the robot?" in shown.out
     assert "not confirmed" in shown.err
