@@ -51,7 +51,10 @@ def run(args: argparse.Namespace) -> output.Outcome:
     """
     from lieid_casadi.comparison import compare
     from lieid_casadi.identification import identify
-    from lieid_casadi.identification.known_mass import identify_with_known_masses
+    from lieid_casadi.identification.known_mass import (
+        identify_each_stiffness,
+        identify_with_known_masses,
+    )
     from lieid_casadi.report import comparison_report, fit_report
 
     robot = inputs.robot_of(args)
@@ -73,10 +76,14 @@ def run(args: argparse.Namespace) -> output.Outcome:
                 processing=processing,
                 progress=report,
             )
-            if laws := fit.model.robot.drives:
-                test = [recording.with_drives(laws) for recording in test]
+        elif args.stiffness == "each":
+            fit = identify_each_stiffness(
+                model, train, method=args.method, processing=processing, progress=report
+            )
         else:
             fit = identify(model, train, method=args.method, processing=processing, progress=report)
+    if (laws := fit.model.robot.drives) and laws != robot.drives:  # stiffnesses were found
+        test = [recording.with_drives(laws) for recording in test]
     tables = [] if stages is None else [stage_table(stages)]
     polished = []
     if args.polish:

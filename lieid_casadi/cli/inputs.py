@@ -159,24 +159,30 @@ def drives_of(args: argparse.Namespace, robot: Robot) -> tuple[Drive, ...] | Non
 
     stiffness, damping, servo = (getattr(args, x, None) for x in ("stiffness", "damping", "servo"))
     if servo is not None:
-        if stiffness is not None or damping is not None:
-            raise UsageError("--servo: states stiffness and damping itself; expected one of them")
+        if stiffness is not None:
+            raise UsageError("--servo: states the stiffness itself; expected one of them")
         names = servo.split(",")
         names = names * robot.n if len(names) == 1 else names
         if len(names) != robot.n:
             raise UsageError(f"--servo: {len(names)} names; expected 1 or {robot.n}, one per joint")
-        return robot.with_drives([servo_drive(name.strip()) for name in names]).drives
+        gains = _numbers("--damping", damping or "0", robot.n, least=0.0)
+        pairs = zip(names, gains, strict=True)
+        return robot.with_drives([servo_drive(x.strip(), derivative=d) for x, d in pairs]).drives
     if stiffness is None:
         if damping is not None:
-            raise UsageError("--damping: needs --stiffness K1,…,Kn or --stiffness unknown")
+            raise UsageError("--damping: needs --stiffness K1,…,Kn or unknown, or --servo NAME")
         return robot.drives
     damping_values = _numbers("--damping", damping or "0", robot.n, least=0.0)
-    if stiffness == "unknown":
+    if stiffness == "each" and not hasattr(args, "known_mass"):
+        raise UsageError(
+            "--stiffness each: is for lieid identify, whose fit contains the stiffnesses found; "
+            "expected numbers, or unknown"
+        )
+    if stiffness in ("unknown", "each"):
         laws = [Drive(stiffness=1.0, damping=d, relative=True) for d in damping_values]
     else:
         values = _numbers("--stiffness", stiffness, robot.n, least=math.ulp(0.0))
-        pairs = zip(values, damping_values, strict=True)
-        laws = [Drive(stiffness=k, damping=d) for k, d in pairs]
+        laws = [Drive(stiffness=k, damping=d) for k, d in zip(values, damping_values, strict=True)]
     return robot.with_drives(laws).drives
 
 

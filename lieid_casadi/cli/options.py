@@ -187,10 +187,12 @@ SHARED = {
     == position-controlled drives
         Torque of recordings with commanded positions qcmd1…qcmdn and without tau:
         K·(qcmd − q) − D·dq, limited by the robot's torque limits.
-    --stiffness K1,…,Kn  N·m/rad per joint, or one number for all; unknown: torques in units of K
+    --stiffness K1,…,Kn  N·m/rad per joint, or one number for all; unknown: torques in units of K;
+        each: unknown on every joint, relative to joint 1 (identify)
     --damping D1,…,Dn  N·m·s/rad per joint, or one number for all (s if the stiffness is unknown);
-        default: 0
-    --servo NAME[,…]  preset of a servo, such as sts3215, for all or each
+        of a servo, its controller's gain on velocity within the limit of the duty; default: 0
+    --servo NAME[,…]  preset of a servo, such as sts3215, for all or each; sts3215_gripper has half
+        the torque
     """,
     "DATASETS": """
     == LeRobot datasets

@@ -145,7 +145,11 @@ def _drive_of(joint: Joint) -> tuple[float, float, float]:
     if joint.drive is None:
         return 0.0, 0.0, joint.limits.torque
     law = joint.drive.limited(joint.limits.torque)
-    return law.stiffness, law.damping, min(law.torque_limit, law.proportional_limit)
+    return (
+        law.stiffness,
+        law.damping + law.derivative,
+        min(law.torque_limit, law.proportional_limit),
+    )
 
 
 def _of_friction(fit: Fit) -> set[str]:

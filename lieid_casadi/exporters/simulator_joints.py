@@ -166,7 +166,8 @@ def actuator_law(fit: Fit, index: int) -> ActuatorLaw | None:
     force = min(drive.proportional_limit, drive.torque_limit)
     if "torque_saturation.e_s" in own:
         force = min(force, drive.stiffness * own["torque_saturation.e_s"])
-    damping = 0.0 if math.isfinite(drive.proportional_limit) else drive.damping
+    # what the limit of the force limits, too; the back-EMF of a servo is damping of its joint
+    damping = drive.derivative + (0.0 if math.isfinite(drive.proportional_limit) else drive.damping)
     return ActuatorLaw(drive.stiffness, damping, force, own.get("command_delay.delta", 0.0))
 
 

@@ -231,7 +231,7 @@ Positive = Annotated[float, Meta(ge=1.0 / LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Meta(ge=0.0, le=LARGEST)]
 
 
-class DriveFile(Struct, forbid_unknown_fields=True):
+class DriveFile(Struct, forbid_unknown_fields=True, omit_defaults=True):
     """Control law of one joint; limits are left out where there are none."""
 
     stiffness: Positive
@@ -240,6 +240,7 @@ class DriveFile(Struct, forbid_unknown_fields=True):
     torque_limit: Positive | None
     relative: bool
     servo: str
+    derivative: NotNegative = 0.0
 
 
 class ModelFiles(Struct, forbid_unknown_fields=True):

@@ -16,7 +16,7 @@ from lieid_casadi.errors import (
     RelativeTorqueWarning,
     UnidentifiableWarning,
 )
-from lieid_casadi.identification.regression.design_matrix import has_dry_friction
+from lieid_casadi.identification.regression.design_matrix import Design, has_dry_friction
 from lieid_casadi.identification.regression.fixed_point import ROUNDS, FitState
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
@@ -24,7 +24,7 @@ from lieid_casadi.identification.regression.least_squares import (
     independent_fraction,
     name_direction,
 )
-from lieid_casadi.identification.regression.variable_projection import ShapeRange
+from lieid_casadi.identification.regression.variable_projection import resolved_range
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording
 from lieid_casadi.robot import Robot
@@ -77,9 +77,10 @@ def aliases(model: Model, independent: Array) -> list[LieidWarning]:
     return found
 
 
-def bounds(model: Model, state: FitState) -> list[LieidWarning]:
+def bounds(design: Design, state: FitState) -> list[LieidWarning]:
     """Return warnings about coefficients beyond their bounds and shapes at the end of a range."""
     found: list[LieidWarning] = []
+    model = design.model
     for parameter, value in zip(model.base_columns, state.solution.values, strict=True):
         if not parameter.lower <= value <= parameter.upper:
             found.append(
@@ -90,15 +91,16 @@ def bounds(model: Model, state: FitState) -> list[LieidWarning]:
                 )
             )
     if len(state.shapes):
-        for k in np.flatnonzero(ShapeRange.of(model.shapes).at_bound(state.shapes)):
+        ranges = resolved_range(design)
+        for k in np.flatnonzero(ranges.at_bound(state.shapes)):
             shape = model.shapes[k]
             if not shape.fitted:
                 continue
             found.append(
                 BoundWarning(
                     f"{shape.label} reached its bound {state.shapes[k]:.3g} {shape.unit} "
-                    f"(range {shape.lower:g} to {shape.upper:g}); the effect is probably not "
-                    "present on this joint"
+                    f"(range {ranges.lower[k]:.4g} to {ranges.upper[k]:.4g}); the effect is "
+                    "probably not present on this joint, or the recordings do not show it"
                 )
             )
     return found

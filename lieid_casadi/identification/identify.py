@@ -193,14 +193,14 @@ def identify_segments(
         rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
         certificate = certify(design, consistent, rms, rms_wls)
         found += consistent.warnings
-    found += fit_warnings.bounds(model, state)
+    found += fit_warnings.bounds(design, state)
     report("evaluate", 0.9)
     ends = None
     if uncertainty:
         covariance, noise = fit_covariance(design, state), residual_noise(compiled, segments, state)
         if least.scan is not None:
             intervals = shape_intervals(design, least, covariance)
-            found += open_intervals(model, least, intervals)
+            found += open_intervals(design, least, intervals)
             ends = np.column_stack([intervals.low, intervals.high])
     else:
         covariance = np.full((len(state.solution.values) + len(state.shapes),) * 2, np.nan)

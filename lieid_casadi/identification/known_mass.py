@@ -1,4 +1,4 @@
-"""Identification with an unknown drive stiffness, made absolute by links of known mass."""
+"""Identification with unknown drive stiffness: one of each joint; made absolute by known masses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,58 @@ from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
 
 GRAVITY_PARAMETERS = 4  # m, m·cx, m·cy, m·cz: the first of a link's ten parameters
+ROUNDS = 6  # of fits with gains, which converge where these are below 1
+MOST_GAIN = 0.9  # of a torque that a first fit may state as too large
+SETTLED = 1e-3  # relative change of a stiffness
 SMALL = 1e-9  # kg·m: smaller known parameters do not determine a scale
+
+
+def identify_each_stiffness(model: Model, recordings: Sequence[Recording], **options: Any) -> Fit:
+    """Fit a model whose drives have unknown stiffnesses, relative to that of joint 1.
+
+    With one stiffness for all, that of joint j is a gain of its torque, 1 + g = K_1/K_j, which the
+    mass that several joints carry determines. The gains become stiffnesses of the laws until they
+    are zero; the last fit is that of the model alone.
+    """
+    robot, n = model.robot, model.n
+    if not robot.drives or not all(drive.relative for drive in robot.drives) or n < 2:
+        raise IdentificationError(
+            "stiffnesses of single joints need two joints and drives without stiffness "
+            "(--stiffness each)"
+        )
+    ratios, std = np.ones(n), np.zeros(n)
+    for _ in range(ROUNDS):
+        stated = _with_stiffnesses(model, ratios)
+        gained = stated.with_effect("torque_gain", joints=range(1, n))
+        fit = identify(gained, _by_laws(recordings, stated), **options | {"method": "wls"})
+        rows = [row for row in fit.parameter_table() if row["name"] == "torque_gain.g"]
+        for row in rows:
+            j, factor = row["joint"] - 1, 1.0 + max(row["value"], -MOST_GAIN)
+            ratios[j] /= factor
+            std[j] = ratios[j] * (np.inf if row["std"] is None else row["std"]) / factor
+        if all(abs(row["value"]) < SETTLED for row in rows):
+            break
+    stated = _with_stiffnesses(model, ratios)
+    final = identify(stated, _by_laws(recordings, stated), **options)
+    numbers = enumerate(zip(ratios[1:], std[1:], strict=True), start=2)
+    text = ", ".join(f"joint {j} {ratio:.3g} ± {spread:.2g}" for j, (ratio, spread) in numbers)
+    note = RelativeTorqueWarning(f"drive stiffness relative to that of joint 1: {text}")
+    return replace(final, warnings=(*final.warnings, note))
+
+
+def _with_stiffnesses(model: Model, ratios: Array) -> Model:
+    """Return the model with laws of unknown stiffness times ratios (n,)."""
+    laws = model.robot.drives
+    assert laws is not None
+    changed = [law.relative_to(float(ratio)) for law, ratio in zip(laws, ratios, strict=True)]
+    robot = model.robot.with_drives(changed)
+    return Model.of_placements(robot, model.placements, library=model.library)
+
+
+def _by_laws(recordings: Sequence[Recording], model: Model) -> list[Recording]:
+    laws = model.robot.drives
+    assert laws is not None
+    return [recording.with_drives(laws) for recording in recordings]
 
 
 def identify_with_known_masses(
@@ -41,13 +92,8 @@ def identify_with_known_masses(
     relative = identify(model, recordings, **options)
     stiffness, std, assumed = _stiffness(relative, masses)
     known = robot.with_drives([drive.scaled(stiffness) for drive in robot.drives])
-    laws = known.drives
-    assert laws is not None
-    fit = identify(
-        Model.of_placements(known, model.placements, library=model.library),
-        [recording.with_drives(laws) for recording in recordings],
-        **options,
-    )
+    absolute = Model.of_placements(known, model.placements, library=model.library)
+    fit = identify(absolute, _by_laws(recordings, absolute), **options)
     note = RelativeTorqueWarning(
         f"the known masses give a drive stiffness of {stiffness:.4g} ± {std:.2g} N·m/rad "
         f"({100.0 * std / stiffness:.3g} %), one for all joints; all parameters share this error, "

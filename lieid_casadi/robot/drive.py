@@ -20,25 +20,29 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """Control law of one joint: τ = clip(clip(K·(q_cmd − q), ±L_p) − D·q̇, ±L).
+    """Control law of one joint: τ = clip(clip(K·(q_cmd − q) − D_v·q̇, ±L_p) − D·q̇, ±L).
 
-    A servo with duty = clip(P·(q_cmd − q), ±d) and torque k_t/R·(V·duty − k_e·q̇) has
-    K = k_t·V·P/R, D = k_t·k_e/R and L_p = k_t·V·d/R.
+    A servo with duty = clip(P·(q_cmd − q) − P_v·q̇, ±d) and torque k_t/R·(V·duty − k_e·q̇) has
+    K = k_t·V·P/R, D_v = k_t·V·P_v/R, D = k_t·k_e/R and L_p = k_t·V·d/R.
 
     Attributes
     ----------
     stiffness : float
-        K, N·m/rad (sliding joints: N/m). 1 if it is unknown: torques are then in units of K.
+        K, N·m/rad (sliding joints: N/m). If it is unknown, 1, or relative to that of joint 1:
+        torques are then in units of K.
     damping : float
         D, N·m·s/rad; with unknown stiffness D/K, s.
     proportional_limit : float
-        L_p, N·m: limit of the part that is proportional to the position error.
+        L_p, N·m: limit of what the controller asks for, K·(q_cmd − q) − D_v·q̇.
     torque_limit : float
         L, N·m: limit of the torque.
     relative : bool
         Whether the stiffness is unknown.
     servo : str
         Name of the preset that the numbers are from; empty otherwise.
+    derivative : float
+        D_v, N·m·s/rad: the controller's gain on velocity, within its limit L_p. Without the limit
+        it is equal to D.
     """
 
     stiffness: float
@@ -47,6 +51,7 @@ class Drive:
     torque_limit: float = math.inf
     relative: bool = False
     servo: str = ""
+    derivative: float = 0.0
 
     def torque(
         self, error: Any, velocity: Any, *, clip: Callable[[Any, float, float], Any] = np.clip
@@ -67,7 +72,7 @@ class Drive:
         (N,)
             N·m; rad if the stiffness is unknown.
         """
-        part = self.stiffness * error
+        part = self.stiffness * error - self.derivative * velocity
         if math.isfinite(self.proportional_limit):
             part = clip(part, -self.proportional_limit, self.proportional_limit)
         torque = part - self.damping * velocity
@@ -78,7 +83,7 @@ class Drive:
     def effective_error(
         self, error: Any, velocity: Any, *, clip: Callable[[Any, float, float], Any] = np.clip
     ) -> Any:
-        """Return the position error that gives the torque of the law without its limits.
+        """Return the position error that gives the torque of the law without limits and D_v.
 
         Parameters
         ----------
@@ -108,7 +113,17 @@ class Drive:
 
     def scaled(self, stiffness: float) -> Drive:
         """Return a law of unknown stiffness with a stiffness, N·m/rad, that became known."""
-        return Drive(stiffness=stiffness, damping=stiffness * self.damping)
+        own = self.relative_to(stiffness)
+        return replace(own, relative=False)
+
+    def relative_to(self, ratio: float) -> Drive:
+        """Return a law of unknown stiffness with K and its damping times a ratio."""
+        return replace(
+            self,
+            stiffness=ratio * self.stiffness,
+            damping=ratio * self.damping,
+            derivative=ratio * self.derivative,
+        )
 
 
 def commanded_torque(drives: Sequence[Drive], error: Array, velocity: Array) -> Array:
@@ -117,13 +132,15 @@ def commanded_torque(drives: Sequence[Drive], error: Array, velocity: Array) -> 
     return np.stack(columns, axis=1)
 
 
-def servo_drive(name: str) -> Drive:
+def servo_drive(name: str, *, derivative: float = 0.0) -> Drive:
     """Return the control law of a servo preset.
 
     Parameters
     ----------
     name : str
         Such as ``sts3215``; the sources of the numbers are in ``robot/data/servos.yaml``.
+    derivative : float
+        Gain of the servo's controller on velocity (its D coefficient), N·m·s/rad.
 
     Raises
     ------
@@ -140,6 +157,7 @@ def servo_drive(name: str) -> Drive:
         damping=stall / servo["no_load_speed"],
         proportional_limit=stall * duty,
         servo=name,
+        derivative=derivative,
     )
 
 

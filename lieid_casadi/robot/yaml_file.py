@@ -122,18 +122,18 @@ def _joint(name: str, keys: dict[str, Field]) -> Joint:
 
 def _drive(field: Field) -> Drive:
     keys = field.mapping((), ("stiffness", "damping", "servo"))
+    damping = keys["damping"].number() if "damping" in keys else 0.0
+    if damping < 0.0:
+        raise keys["damping"].error("N·m·s/rad, not negative")
     if "servo" in keys:
-        if len(keys) > 1:
-            raise field.error("servo, or stiffness and damping, not both")
+        if "stiffness" in keys:
+            raise field.error("servo, or stiffness, not both")
         try:
-            return servo_drive(keys["servo"].text())
+            return servo_drive(keys["servo"].text(), derivative=damping)
         except RobotError as error:
             raise keys["servo"].error(str(error).rpartition("expected ")[2]) from None
     if "stiffness" not in keys:
         raise field.error("the keys stiffness and damping, or servo")
-    damping = keys["damping"].number() if "damping" in keys else 0.0
-    if damping < 0.0:
-        raise keys["damping"].error("N·m·s/rad, not negative")
     return Drive(stiffness=keys["stiffness"].positive(), damping=damping)
 
 
@@ -259,8 +259,11 @@ def _joint_as_dict(joint: Joint) -> dict[str, Any]:
     if math.isfinite(joint.torque_constant):
         data["torque_constant"] = joint.torque_constant
     if joint.drive is not None and not joint.drive.relative:
-        law = {"stiffness": joint.drive.stiffness, "damping": joint.drive.damping}
-        data["drive"] = {"servo": joint.drive.servo} if joint.drive.servo else law
+        own = joint.drive
+        law: dict[str, Any] = {"stiffness": own.stiffness, "damping": own.damping}
+        if own.servo:
+            law = {"servo": own.servo} | ({"damping": own.derivative} if own.derivative else {})
+        data["drive"] = law
     if joint.link is not None:
         body = body_inertia(joint.link)
         keys = (("ixx", 0, 0), ("ixy", 0, 1), ("iyy", 1, 1), ("ixz", 0, 2), ("iyz", 1, 2))

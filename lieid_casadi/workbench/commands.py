@@ -73,7 +73,14 @@ def python_lines(session: Session, cutoff: float | None = None) -> str:
 def _drive_lines(stated: dict[str, str]) -> list[str]:
     """Return lines that state the control laws of position-controlled drives."""
     if "servo" in stated:
-        laws = [f"lieid.servo_drive({name.strip()!r})" for name in stated["servo"].split(",")]
+        names, gains = stated["servo"].split(","), stated.get("damping", "0").split(",")
+        count = max(len(names), len(gains))
+        pairs = zip(_repeated(names, count), _repeated(gains, count), strict=True)
+        laws = [
+            f"lieid.servo_drive({name.strip()!r}"
+            + (f", derivative={float(d)!r})" if float(d) else ")")
+            for name, d in pairs
+        ]
     elif "stiffness" in stated:
         unknown = stated["stiffness"] == "unknown"
         stiffness = ["1.0"] if unknown else stated["stiffness"].split(",")

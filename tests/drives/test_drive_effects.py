@@ -11,8 +11,10 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.effects.backlash import place_in_play
 from lieid_casadi.effects.registry import make
-from lieid_casadi.errors import EffectError
+from lieid_casadi.errors import BoundWarning, EffectError
 from lieid_casadi.identification.identify import default_effects
+from lieid_casadi.identification.regression.variable_projection import command_error_range
+from lieid_casadi.recording import process
 
 ROBOT = TWO_LINK.with_drives(LAWS)
 BASE = "coulomb,viscous,offset"
@@ -110,6 +112,11 @@ def test_saturation_in_a_simulated_arm(stated):
         both = lieid.identify(lieid.Model(robot, f"{BASE},torque_saturation"), recording)
         assert both.rms_cv[0] > 0.5 * plain.rms_cv[0]  # the column is not the recorded torque
         assert np.ptp(both.shapes) > 0.0
+        edge = command_error_range(process(recording, CUTOFF), 0)[1]
+        at_edge = np.array([edge, both.shapes[1]])
+        held = lieid.identify(both.model, recording, processing=CUTOFF, held_shapes=at_edge)
+        (warning,) = [w for w in held.warnings if isinstance(w, BoundWarning)]
+        assert str(warning).startswith("torque_saturation.e_s:1 reached its bound")
 
 
 PLAY = 0.03  # rad

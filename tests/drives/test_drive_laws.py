@@ -40,12 +40,13 @@ def test_law_of_a_pd_controller(commands, run):
 
 
 def test_servo_law_is_that_of_a_dc_motor():
-    """duty = clip(P e, ±d), torque = k_t/R (V duty − k_e dq)."""
+    """duty = clip(P e − P_v dq, ±d), torque = k_t/R (V duty − k_e dq)."""
     for name, servo in servo_presets().items():
-        law = lieid.servo_drive(name)
+        law = lieid.servo_drive(name, derivative=0.3)
         error, dq = np.linspace(-2.0, 2.0, 101), np.linspace(-3.0, 5.0, 101)
-        duty = np.clip(servo["gain"] * error, -servo["largest_duty"], servo["largest_duty"])
         per_volt = servo["stall_torque"] / servo["voltage"]
+        asked = servo["gain"] * error - 0.3 / (per_volt * servo["voltage"]) * dq
+        duty = np.clip(asked, -servo["largest_duty"], servo["largest_duty"])
         back_emf = servo["voltage"] / servo["no_load_speed"]
         expected = per_volt * (servo["voltage"] * duty - back_emf * dq)
         np.testing.assert_allclose(law.torque(error, dq), expected, rtol=1e-12, atol=1e-12)
@@ -84,11 +85,8 @@ def test_a_robot_file_states_the_drive_law(folder, tmp_path):
     robot.write_text(write_yaml(TWO_LINK.with_drives(LAWS)))
     assert lieid.Robot.load(robot).drives[0].damping == 2.0
     assert main(["identify", str(robot), str(folder / "run.csv")]) == 0
-    text = write_yaml(TWO_LINK.with_drives(lieid.servo_drive("xl430")))
-    assert (
-        lieid.Robot.parse_yaml(text).drives
-        == TWO_LINK.with_drives(lieid.servo_drive("xl430")).drives
-    )
+    servos = TWO_LINK.with_drives([lieid.servo_drive("xl430", derivative=d) for d in (0.0, 0.2)])
+    assert lieid.Robot.parse_yaml(write_yaml(servos)).drives == servos.drives
 
 
 @pytest.mark.parametrize(
@@ -100,6 +98,7 @@ def test_a_robot_file_states_the_drive_law(folder, tmp_path):
         (["--damping", "1"], "needs --stiffness"),
         (["--servo", "sts9999"], "expected one of sts3215"),
         (["--servo", "sts3215", "--stiffness", "3"], "expected one of them"),
+        (["--servo", "sts3215", "--damping", "-1"], "--damping"),
         (["--known-mass", "elbow=1.0", "--stiffness", "3"], "drives without stiffness"),
         (["--known-mass", "elbow"], "expected LINK=KG"),
     ],
@@ -156,6 +155,25 @@ def test_known_mass_determines_the_stiffness(one_stiffness):
     fit = identify_with_known_masses(model, [recording], {"elbow": mass}, processing=CUTOFF)
     assert fit.model.robot.drives[0].stiffness == pytest.approx(80.0, rel=0.02)
     assert fit.model.robot.drives[0].damping == pytest.approx(1.6, rel=0.02)
+
+
+@pytest.mark.parametrize("stiffness", [(120.0, 50.0), (50.0, 150.0)])
+def test_stiffness_of_each_joint_relative_to_the_first(run, tmp_path, stiffness):
+    """The law is that of two drives; the fit has the arm's parameters in units of joint 1's K."""
+    laws = [Drive(stiffness=k) for k in stiffness]
+    commanded(run, laws).save(tmp_path / "run.csv")
+    words = ["identify", "two_link", str(tmp_path / "run.csv"), "--effects", EFFECTS]
+    words += ["--stiffness", "each", "--cutoff", "8", "-o", str(tmp_path / "fit.json")]
+    assert main(words) == 0
+    fit = lieid.Fit.load(tmp_path / "fit.json")
+    ratio = stiffness[1] / stiffness[0]
+    found = [law.stiffness for law in fit.model.robot.drives]
+    assert found == pytest.approx([1.0, ratio], rel=0.02)
+    absolute = lieid.identify(lieid.Model(TWO_LINK, EFFECTS), run, processing=CUTOFF)
+    np.testing.assert_allclose(stiffness[0] * fit.values, absolute.values, rtol=0.1, atol=0.05)
+    text = next(str(w) for w in fit.warnings if "relative to that of joint 1" in str(w))
+    value, std = (float(x) for x in text.split("joint 2 ")[1].split(" ± "))
+    assert abs(value - ratio) < 4.0 * std < 0.1
 
 
 def test_gains_of_commands_are_stiffnesses():

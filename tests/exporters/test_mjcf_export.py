@@ -106,7 +106,8 @@ def test_the_stated_error_is_that_of_the_friction():
 
 
 def test_actuators_of_a_servo_follow_its_law():
-    fit = made_fit(SO101, "coulomb")
+    laws = SO101.with_drives(lieid.servo_drive("sts3215", derivative=0.2))
+    fit = made_fit(laws, "coulomb")
     model, _ = model_of(fit)
     model.dof_frictionloss[:] = 0.0
     assert [model.actuator(j).name for j in range(6)] == [j.name for j in SO101.joints]
@@ -116,7 +117,6 @@ def test_actuators_of_a_servo_follow_its_law():
         data.qpos[:], data.qvel[:], data.ctrl[:] = q, dq, q + error * random.choice([-1, 1], 6)
         mujoco.mj_forward(model, data)
         force = data.qfrc_actuator + data.qfrc_passive
-        laws = lieid.robots.so101().with_drives(lieid.servo_drive("sts3215"))
         expected = [
             joint.drive.torque(e, v)
             for joint, e, v in zip(laws.joints, data.ctrl - q, dq, strict=True)

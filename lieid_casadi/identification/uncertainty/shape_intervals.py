@@ -24,7 +24,6 @@ from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import Rows, combine, joint_factors, solve
 from lieid_casadi.identification.regression.shape_scan import ShapeScan, WeightedProjection
 from lieid_casadi.identification.regression.variable_projection import (
-    ShapeRange,
     resolved_range,
     shape_columns,
 )
@@ -32,7 +31,6 @@ from lieid_casadi.identification.uncertainty.covariance import (
     residual_correlation_length,
     with_columns,
 )
-from lieid_casadi.model import Model
 
 LEVEL = 0.95
 NEAR = np.array([-4, -3, -2.5, -2, -1.5, -1, -0.5, 0, 0.5, 1, 1.5, 2, 2.5, 3, 4])  # of its std
@@ -171,11 +169,11 @@ def _slowest_growth(state: FitState) -> Array:
     return growth
 
 
-def open_intervals(model: Model, state: FitState, found: ShapeIntervals) -> list[LieidWarning]:
+def open_intervals(design: Design, state: FitState, found: ShapeIntervals) -> list[LieidWarning]:
     """Return warnings about shapes that the recordings do not bound on one side, or on both."""
     warnings: list[LieidWarning] = []
-    at_bound = ShapeRange.of(model.shapes).at_bound(state.shapes)
-    for k, shape in enumerate(model.shapes):
+    at_bound = resolved_range(design).at_bound(state.shapes)
+    for k, shape in enumerate(design.model.shapes):
         if not shape.fitted or at_bound[k] or not (found.open_below[k] or found.open_above[k]):
             continue
         sides = [
