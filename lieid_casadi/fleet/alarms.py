@@ -401,10 +401,7 @@ def refit_advice(history: History, alarm: Alarm) -> str:
 
 
 def open_alarms(history: History, serial: str, joint: int | None) -> list[Alarm]:
-    """Return the open alarms of an arm, or of one joint from 1.
-
-    FleetError: the history has no such arm, or the arm no such joint.
-    """
+    """Return the open alarms of an arm, or of one joint from 1."""
     joints = _known_arm(history, serial)
     if joint is not None and not 1 <= joint <= joints:
         raise FleetError(f"arm {serial} has no joint {joint}; expected 1 to {joints}")

@@ -117,10 +117,7 @@ class ArmHistory:
 
 
 def read_arms(history: History, *, waiting: int | None = None) -> Iterator[ArmHistory]:
-    """Yield the histories of all arms that have nights, in the order of their serial numbers.
-
-    If a number of nights is waiting to be judged, only what that needs is read.
-    """
+    """Yield the histories of all arms that have nights, in the order of their serial numbers."""
     latest = 10**9 if waiting is None else LATEST_NIGHTS + waiting - 1
     starts: defaultdict[str, dict[int | None, date]] = defaultdict(dict)
     for serial, joint, last in history.rows(

@@ -108,10 +108,7 @@ class NightRows:
         )  # fmt: skip
 
     def joints_of_other_arm(self) -> NDArray[np.intp]:
-        """Return the joints whose torque the kinematics cannot explain with any parameters.
-
-        They are none unless they are half of the joints, and more than one.
-        """
+        """Return the joints whose torque the kinematics cannot explain with any parameters."""
         scale = np.linalg.norm(self.matrix, axis=0)
         scale[scale == 0.0] = 1.0
         free = np.linalg.lstsq(self.matrix / scale, self.torque, rcond=UNDETERMINED)[0] / scale
@@ -126,11 +123,7 @@ class NightRows:
 
 
 def _with_prior(matrix: Array, residual: Array, prior: Array) -> tuple[Array, Array]:
-    """Return the change of the parameters (p,) and its covariance (p, p), weighted to unit noise.
-
-    Directions that neither the night nor the prior determines stay at zero, with the standard
-    deviation that the tolerance gives.
-    """
+    """Return the change of the parameters (p,), zero where undetermined, and its covariance."""
     both = np.concatenate([matrix, prior])
     target = np.concatenate([residual, np.zeros(len(prior))])
     scale = np.linalg.norm(both, axis=0)
@@ -213,10 +206,7 @@ OF_TORQUE = ("torque_sign", "torque_unit")  # premises that other inertias would
 
 
 def run_arm_night(night: ArmNight, fit_content: bytes) -> NightResult:
-    """Return the result of an arm-night; errors of the recording are part of it.
-
-    The loaded fit with its compiled model is kept for further nights.
-    """
+    """Return the result of an arm-night; errors of the recording are part of it."""
     start, sha = time.perf_counter(), ""
     try:
         with local_copy(night.recording) as path:

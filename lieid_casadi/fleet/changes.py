@@ -109,10 +109,7 @@ class TemperaturePrior:
 def scatter_prior(
     series: Sequence[NightSeries], *, expected_slow: float = EXPECTED_SLOW
 ) -> ScatterPrior:
-    """Return the distribution of the scatter's variance over series of comparable quantities.
-
-    ``expected_slow`` is the relative variance of slow variations before it is estimated.
-    """
+    """Return the distribution of the scatter's variance over series of comparable quantities."""
     slow = _slow_part(series, min(expected_slow, MOST_SLOW))
     nights = ScatterPrior(1.0, FEWEST_FREEDOM, _between_motions(series), slow)
     pairs = [_own_variance(each, nights) for each in series if len(each) >= 3]
@@ -147,10 +144,7 @@ def _whitening(day_bytes: bytes, motion_bytes: bytes, between: float, slow: floa
 
 
 def _between_motions(series: Sequence[NightSeries]) -> float:
-    """Return the variance between motions relative to that between nights with one motion.
-
-    It follows from the differences of successive nights with and without a change of motion.
-    """
+    """Return the variance between motions relative to that between nights with one motion."""
     within: list[float] = []
     across: list[float] = []
     for each in (whole.latest for whole in series):
@@ -189,10 +183,7 @@ def temperature_prior(series: Sequence[NightSeries]) -> TemperaturePrior | None:
 
 
 def _slow_part(series: Sequence[NightSeries], expected: float) -> float:
-    """Return the relative variance of slow variations, from differences over one and more nights.
-
-    The variance of a difference over k days is 2·σ²·(1 + slow·(1 − exp(−k/SLOW_DAYS))).
-    """
+    """Return the relative variance of what varies slowly, from differences over 1 and 6 nights."""
     near: list[float] = []
     far: list[float] = []
     for each in (whole.latest for whole in series):
@@ -249,10 +240,7 @@ class Change:
     freedom: float  # degrees of freedom of its t statistic
 
     def days_of_limit(self, last_day: float, limit: float) -> list[float | None]:
-        """Return the days when a drift reaches a limit of the value's size; None for never.
-
-        They belong to the slope, to the steepest one of its interval, and to the flattest.
-        """
+        """Return the days when a drift reaches a limit of the value's size; None for never."""
         ends = sorted((self.slope_low, self.slope_high), key=lambda s: -s * self.slope)
         bound, now = np.sign(self.slope) * limit, self.level + self.size
         return [
@@ -268,10 +256,7 @@ def strongest_change(
     *,
     rises_only: bool = False,
 ) -> Change | None:
-    """Return the most significant step or drift; None for fewer than four nights.
-
-    Without a prior of its slope the temperature is not a covariate.
-    """
+    """Return the most significant step or drift; None for fewer than four nights."""
     count = len(series)
     if count < FEWEST_NIGHTS:
         return None
@@ -322,11 +307,7 @@ def strongest_change(
 def _p_without_night(
     white: Array, prior: ScatterPrior, basis: Array, rest: Array, shape: Array
 ) -> float:
-    """Return the largest p-value of a change if one of the nights since its beginning is left out.
-
-    A night is left out by a free term of its own, a column of ``white`` (N, k). ``rest`` and
-    ``shape`` (R,) are values and change without the known columns, whose basis is (R, c).
-    """
+    """Return the largest p-value of a change if one of the nights since it (a column) is free."""
     nights = np.zeros((len(rest), white.shape[1]))
     nights[: len(white)] = white
     nights -= basis @ (basis.T @ nights)
@@ -359,11 +340,7 @@ def _slopes(projected: Array, norm: Array, misfit: Array, most: float) -> tuple[
 def _known_columns(
     series: NightSeries, white: Array, prior: ScatterPrior, temperature: TemperaturePrior | None
 ) -> tuple[Array, Array]:
-    """Return the columns (R, c) of level and temperature, and the values (R,), in scales.
-
-    The prior of the slope over temperature is one more row. ``white`` (N, N) makes nights
-    independent, with unit nominal variance.
-    """
+    """Return the columns (R, c) of level and temperature, and the values (R,), in scales."""
     level, target = white.sum(axis=1), white @ series.values
     if temperature is None or not series.has_temperature:
         return level[:, None], target

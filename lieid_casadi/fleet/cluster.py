@@ -46,10 +46,7 @@ class RunOptions:
 
 @contextlib.contextmanager
 def dask_client(options: RunOptions) -> Iterator[Any]:
-    """Client of a Dask cluster: the given one, or one on this machine that ends with the context.
-
-    FleetError: no scheduler answers, or workers have another version of this package.
-    """
+    """Client of the given Dask cluster, or of one on this machine that ends with the context."""
     try:
         import dask
         from distributed import Client, LocalCluster
@@ -216,10 +213,7 @@ class _Submission:
         return [future for future in futures if future.done()]
 
     def _take(self, future: Any) -> None:
-        """Pass the result of a task on; an exception becomes a failed arm-night.
-
-        Dask also gives up tasks that wait on workers that are lost: they are submitted again.
-        """
+        """Pass the result of a task on; an exception becomes a failed arm-night."""
         from distributed import CancelledError, KilledWorker
 
         if future.status == "lost" or future.cancelled():

@@ -17,7 +17,6 @@ from lieid_casadi.fleet.config import Dated, Fleet, FleetArm
 from lieid_casadi.fleet.night_result import ArmNight
 from lieid_casadi.fleet.recordings import is_local, local_copy
 from lieid_casadi.fleet.run import LoadedFit, fits_of, recordings_of
-from lieid_casadi.premises import PremiseCheck
 from lieid_casadi.tables import Table, make_table
 
 LARGEST_CONSTANT = 1000.0  # N·m/A at the joint: gear ratio 500 and a motor of 2 N·m/A
@@ -30,46 +29,30 @@ Unseen = Mapping[str, Sequence[str]]
 
 @dataclass(frozen=True)
 class ArmCheck:
-    """What was found about one arm; sentences of what is wrong, and of what is doubtful."""
+    """What was found about one arm: sentences of what is certainly wrong, and of what may be."""
 
     serial: str
     recordings: int = 0
     newest: date | None = None  # night of the newest recording
-    recording: str = ""  # that was tested
-    premises: PremiseCheck | None = None  # None: not tested
+    recording: str | None = None  # that was tested
     wrong: tuple[str, ...] = ()
     doubtful: tuple[str, ...] = ()
+    premises: tuple[dict[str, Any], ...] = ()  # findings about the premises, which are in these too
 
     @property
     def verdict(self) -> str:
         """``wrong``, ``doubtful`` or ``sound``."""
-        verdicts = {self.premises.verdict if self.premises else "sound"}
-        if self.wrong or "wrong" in verdicts:
-            return "wrong"
-        return "doubtful" if self.doubtful or "doubtful" in verdicts else "sound"
+        return "wrong" if self.wrong else "doubtful" if self.doubtful else "sound"
 
     @property
     def sentences(self) -> list[str]:
         """What was found, what is wrong first."""
-        findings = self.premises.findings if self.premises else ()
-        return [
-            *(f"!! {text}" for text in self.wrong),
-            *(f"! {text}" for text in self.doubtful),
-            *(f"{'!!' if x.certain else '!'} {x.sentence}" for x in findings),
-        ]
+        return [*(f"!! {text}" for text in self.wrong), *(f"! {text}" for text in self.doubtful)]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON's ``arms``."""
-        return {
-            "serial": self.serial,
-            "verdict": self.verdict,
-            "recordings": self.recordings,
-            "newest": None if self.newest is None else self.newest.isoformat(),
-            "recording": self.recording or None,
-            "wrong": list(self.wrong),
-            "doubtful": list(self.doubtful),
-            "premises": self.premises.to_dict()["findings"] if self.premises else [],
-        }
+        newest = None if self.newest is None else self.newest.isoformat()
+        return vars(self) | {"verdict": self.verdict, "newest": newest}
 
 
 def check_fleet(
@@ -78,10 +61,7 @@ def check_fleet(
     unseen: Callable[[Sequence[str]], Unseen] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[ArmCheck]:
-    """Check the entries of a fleet file, and the newest recording of every arm by its premises.
-
-    ``unseen`` returns which of some paths the workers cannot see.
-    """
+    """Check the entries of a fleet file, and the newest recording of every arm by its premises."""
     report = progress or (lambda stage, fraction: None)
     checks, owners = [], defaultdict[str, list[str]](list)
     for k, arm in enumerate(fleet.arms):
@@ -118,25 +98,22 @@ def _check_arm(arm: FleetArm, fleet: Fleet) -> tuple[ArmCheck, list[str]]:
     wrong += [reason for _, reason in found if reason][:3]
     nights = sorted((night for night, reason in found if not reason), key=lambda n: n.date)
     doubtful = ["no recording; expected at least one"] if not nights and not wrong else []
-    premises, newest = None, None
+    check = replace(check, recordings=len(nights))
     if nights:
         newest = nights[-1]
+        check = replace(check, newest=date.fromisoformat(newest.date), recording=newest.recording)
         content = {each.value.sha256: each.value.content for each in fits}[newest.fit_sha256]
         try:
             with local_copy(newest.recording) as path:
                 premises = premises_of(*load_night(newest, content, path))
+            if premises is not None:
+                check = replace(check, premises=tuple(premises.to_dict()["findings"]))
+                for finding in premises.findings:
+                    (wrong if finding.certain else doubtful).append(finding.sentence)
         except LieidError as error:
             wrong.append(str(error))
-    check = replace(
-        check,
-        recordings=len(nights),
-        newest=None if newest is None else date.fromisoformat(newest.date),
-        recording="" if newest is None else newest.recording,
-        premises=premises,
-        wrong=tuple(wrong),
-        doubtful=tuple(doubtful),
-    )
-    return check, [night.recording for night, _ in found if night.recording]
+    locations = [night.recording for night, _ in found if night.recording]
+    return replace(check, wrong=tuple(wrong), doubtful=tuple(doubtful)), locations
 
 
 def implausible_entries(arm: FleetArm, fits: Sequence[Dated[LoadedFit]]) -> list[str]:
@@ -148,11 +125,8 @@ def implausible_entries(arm: FleetArm, fits: Sequence[Dated[LoadedFit]]) -> list
     for payload in (entry.value for entry in arm.payloads):
         mass, *moment = payload.parameters[:4]
         if mass > own:
-            of = (
-                f"the arm itself has {own:.3g} kg"
-                if len(masses) == robot.n
-                else "no arm carries that"
-            )
+            all_known = len(masses) == robot.n
+            of = f"the arm itself has {own:.3g} kg" if all_known else "no arm carries that"
             found.append(f"payload of {mass:g} kg; {of}: expected kg")
         elif mass > 0.0 and (distance := float(np.linalg.norm(moment)) / mass) > FARTHEST_COM:
             found.append(f"payload with com at {distance:.3g} m from the tool: expected m")

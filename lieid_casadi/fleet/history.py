@@ -172,6 +172,8 @@ class History(AbstractContextManager["History"]):
         try:
             if not read_only:
                 _prepare(self.connection, self.path)
+                if not snapshot_of(path).exists():
+                    self.write_snapshot()  # from the first minute of the first run on
             elif _schema_of(self.connection, opened) < SCHEMA:
                 raise FleetError(f"{path}: an older schema; run lieid fleet once to migrate it")
         except BaseException:
@@ -188,7 +190,8 @@ class History(AbstractContextManager["History"]):
         unused = kind is not None and self._is_new and not self.rows("SELECT 1 FROM runs LIMIT 1")
         self.close(snapshot=not unused)
         if unused:
-            Path(self.path).unlink(missing_ok=True)
+            for file in (Path(self.path), snapshot_of(self.path)):
+                file.unlink(missing_ok=True)
 
     def close(self, *, snapshot: bool = True) -> None:
         """Close the file, with a snapshot for readers if it was open for writing."""
@@ -254,11 +257,7 @@ class History(AbstractContextManager["History"]):
     def finished(
         self, serials: Sequence[str], method: int | None = None
     ) -> tuple[set[tuple[str, ...]], dict[str, frozenset[str]]]:
-        """Return the files of arms (`ArmNight.key`) that have runs, and the identities of these.
-
-        Failed runs are left out, since they are tried again, and so are runs of another method if
-        one is given.
-        """
+        """Return the files of arms (`ArmNight.key`) that have runs, and the identities of these."""
         kept = (
             "WITH kept AS (SELECT * FROM runs WHERE status <> 'failed' AND list_contains(?, serial)"
             " AND (? IS NULL OR method = ?)) "
@@ -290,11 +289,7 @@ class History(AbstractContextManager["History"]):
                 self.insert("maintenance", [(arm.serial, *span) for span in arm.maintenance])
 
     def set_nights(self, serials: Sequence[str], newest: date) -> list[tuple[str, date, str]]:
-        """Write the expected nights of arms; return arms whose newest is not done, with its status.
-
-        A night is expected every day from the first of an arm to the newest of all, and where there
-        is a recording; not during maintenance.
-        """
+        """Write the expected nights of arms; return arms with a newest one that is not done."""
         own = {"serials": list(serials)}
         with self.transaction():
             self.connection.execute("DELETE FROM nights WHERE list_contains($serials, serial)", own)
@@ -344,10 +339,7 @@ def copy_file(source: str | Path, target: str | Path) -> None:
 
 
 def backup(path: str | Path, target: str | Path) -> bool:
-    """Write a history as one complete file; return whether it is of now.
-
-    While a run is in progress it is the snapshot of the run's latest batch.
-    """
+    """Write a history as one complete file; return whether it is of now."""
     is_of_now = True
     try:
         with History(path, new=False):

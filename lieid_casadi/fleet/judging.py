@@ -200,11 +200,7 @@ def _repeated(arm: ArmHistory, rates: dict[str, float]) -> list[tuple[RepeatedEf
 
 
 def _is_relevant(arm: ArmHistory, item: ChangedQuantity | RepeatedEffect) -> bool:
-    """Whether a change exceeds the scatter, and is more than one unusual night.
-
-    A change that only one night shows counts if this night is the last one, and its diagnosis
-    found an effect of the joint or of the arm.
-    """
+    """Whether a change exceeds the scatter, and is more than one unusual night."""
     if isinstance(item, RepeatedEffect):
         return True
     change = item.change

@@ -32,10 +32,7 @@ class RecordingFile:
 
 
 def list_recordings(pattern: str) -> list[RecordingFile]:
-    """Return the files of a path pattern or URL, sorted by name.
-
-    FleetError: the store cannot be reached, or no file matches.
-    """
+    """Return the files of a path pattern or URL, sorted by name."""
     system, path = _file_system(pattern)
     local = is_local(pattern)
 
@@ -60,10 +57,7 @@ def list_recordings(pattern: str) -> list[RecordingFile]:
 
 @contextlib.contextmanager
 def local_copy(location: str) -> Iterator[Path]:
-    """Path of a recording on this machine; of a remote one a copy that is removed afterwards.
-
-    FleetError: the file cannot be read.
-    """
+    """Path of a recording on this machine; of a remote one a copy that is removed afterwards."""
     if is_local(location):
         if not Path(location).exists():
             raise FleetError(f"{location}: no such file")
@@ -77,10 +71,7 @@ def local_copy(location: str) -> Iterator[Path]:
 
 
 def night_of(file: RecordingFile, pattern: Pattern[str] | None) -> date:
-    """Return the date of a recording: that in its path, or that of the file's last change (UTC).
-
-    FleetError: the path does not contain a date, or the store states no time.
-    """
+    """Return the date of a recording: that in its path, or that of the file's last change (UTC)."""
     if pattern is None:
         if file.modified is None:
             raise FleetError(

@@ -77,15 +77,10 @@ def run_fleet(
 ) -> FleetRun:
     """Diagnose the recordings that the history does not have, and record the results.
 
-    Every result is committed when it is there: a call that ends early, for whatever reason, is
-    continued by the next one.
-
-    ``since`` is the first night to run, ``newest`` the newest on which every arm is expected to
-    have recorded (default: yesterday, UTC); ``rerun`` also runs what an earlier method of diagnosis
-    has done. ``connected`` is called with the address of the cluster's dashboard, if that answers.
-
-    FleetError: the fleet file does not match the fits, no scheduler answers, or workers have
-    another version. ClusterLost: the connection to the scheduler was lost.
+    Every result is committed when it is there: a call that ends early is continued by the next.
+    ``newest`` is the last night on which every arm is expected to have recorded (default:
+    yesterday, UTC); ``rerun`` also runs what an earlier method of diagnosis has done.
+    ``connected`` is called with the address of the cluster's dashboard, if that answers.
     """
     settings, start = options or RunOptions(), time.monotonic()
     expected = newest or datetime.now(UTC).date() - timedelta(days=1)
@@ -136,10 +131,7 @@ class NightsToRun:
 def nights_to_run(
     fleet: Fleet, history: History, *, newest: date, since: date | None = None, rerun: bool = False
 ) -> NightsToRun:
-    """Return the arm-nights that the history does not have; arms are entered into it.
-
-    LieidError: no arm has a usable fit.
-    """
+    """Return the arm-nights that the history does not have; arms are entered into it."""
     first = max((d for d in (since, history.kept_from) if d is not None), default=date.min)
     nights: list[ArmNight] = []
     unusable: list[tuple[ArmNight, NightResult]] = []

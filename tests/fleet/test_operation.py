@@ -170,6 +170,8 @@ def test_an_alarm_that_has_doubled_or_is_near_its_limit_is_reported_again(tmp_pa
 
 
 def test_a_history_may_be_read_and_copied_while_a_run_has_it_open(tmp_path, capsys):
+    with History(tmp_path / "new.duckdb"):  # the first run, before its first batch
+        assert main(["fleet", "report", str(tmp_path / "new.duckdb")]) == 0
     path = write_history(tmp_path / "h.duckdb", 5, ["A0", "A1"])
     code = (
         "import sys\nfrom lieid_casadi.fleet.history import History\n"
