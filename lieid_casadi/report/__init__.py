@@ -4,6 +4,7 @@ from lieid_casadi.report.page import Section, data_uri, render
 from lieid_casadi.report.reports import (
     comparison_report,
     diagnosis_report,
+    effect_page,
     experiment_report,
     extension_report,
     fit_report,
@@ -16,6 +17,7 @@ __all__ = [
     "comparison_report",
     "data_uri",
     "diagnosis_report",
+    "effect_page",
     "experiment_report",
     "extension_report",
     "fit_report",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import platform
 import shlex
@@ -396,7 +397,18 @@ def _meaning(row: dict[str, Any]) -> str:
     return "" if expression in (name, f"{name}{joint}", f"{name}:{joint}") else expression
 
 
-def _descriptions(labels: Iterable[str]) -> Section:
+def effect_page(label: str) -> str:
+    """Return the page of a registered effect: what it is, its facts, and the effects like it."""
+    effect = make(label)
+    words = inspect.cleandoc(type(effect).__doc__ or "").partition("\n\n")[0].replace("`", "")
+    facts = [_fact(*fact) for fact in describe(effect)]
+    sections = [table_section("", sentences=[" ".join(words.split())], facts=facts)]
+    if rivals := [name for name in effect.confused_with if name in REGISTER]:
+        sections.append(_descriptions(rivals, title="Effects that it can be confused with"))
+    return render(label, sections)
+
+
+def _descriptions(labels: Iterable[str], *, title: str = "Effects in this report") -> Section:
     """Return the descriptions of effects: formula, coefficients, rivals, and what reveals them."""
     effects = [
         {
@@ -406,7 +418,7 @@ def _descriptions(labels: Iterable[str]) -> Section:
         }
         for label, anchor in anchors(dict.fromkeys(labels)).items()
     ]
-    return Section("Effects in this report", "effects.html", {"effects": effects}, folded=True)
+    return Section(title, "effects.html", {"effects": effects}, folded=True)
 
 
 def _fact(name: str, text: str) -> tuple[str, str]:

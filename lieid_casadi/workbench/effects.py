@@ -25,7 +25,7 @@ from lieid_casadi.workbench.evaluation import EffectCurve, EffectRow
 from lieid_casadi.workbench.session import FoundEffects, ProposedEffect
 from lieid_casadi.workbench.workbench import Workbench
 
-WIDTH, HEIGHT, MARGIN = 270.0, 62.0, 4.0  # of the picture of an effect
+WIDTH, HEIGHT, MARGIN = 270.0, 50.0, 4.0  # of the picture of an effect
 MOST_VALUES = 6  # of an effect that are listed
 STATUS = {"named": "named", "one_of": "one of", "shape": "shape"}
 STATUS_MEANING = {
@@ -146,11 +146,14 @@ def _one_line(effect: Effect) -> str:
 def _card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bool) -> Markup:
     """Return an effect with its values, and its torque once it is computed."""
     shown = [
-        part("card-head", part("strong grow", row.label), _remove(row.label) if removable else ""),
+        part(
+            "card-head", part("strong grow", row.label), _atlas(row.label),
+            _remove(row.label) if removable else "",
+        ),
         part("formula", Markup(formula_html(row.effect.formula))),
         cut_part("muted small ellipsis", _one_line(row.effect)),
         *(part("value", value) for value in row.values[:MOST_VALUES]),
-    ]
+    ]  # fmt: skip
     if len(row.values) > MOST_VALUES:
         more = f"and {len(row.values) - MOST_VALUES} more"
         shown.append(part("value muted", more, tip="; ".join(row.values)))
@@ -172,6 +175,14 @@ def _facts(effect: Effect) -> Markup:
     )
 
 
+def _atlas(label: str) -> Markup:
+    """Return a link to the page of an effect in the atlas."""
+    effect = label.partition(":")[0]
+    link = '<a class="material-icons icon-part" href="/atlas/{0}" target="_blank" title="{1}"'
+    link += ' aria-label="{1}" data-testid="atlas-{2}">menu_book</a>'
+    return Markup(link).format(effect, f"{effect} in the effect atlas", place(label))
+
+
 def _chip(row: EffectRow, *, removable: bool) -> Markup:
     """Return an effect on another joint."""
     remove = _remove(row.label) if removable else ""
@@ -189,7 +200,7 @@ def _curve_svg(curve: EffectCurve, unit: str) -> Markup:
     low, high = min(xs), max(xs)
     most = max(max(abs(y) for y in ys), 1e-12)
     names = {"dq": "speed", "ddq": "acceleration", "q": "angle"}
-    across, down = WIDTH - 2 * MARGIN, HEIGHT - 2 * MARGIN - 12.0
+    across, down = WIDTH - 2 * MARGIN, HEIGHT - 2 * MARGIN
     points = "".join(
         f'<circle cx="{MARGIN + across * (x - low) / (high - low or 1.0):.1f}" '
         f'cy="{MARGIN + down * (0.5 - 0.5 * y / most):.1f}" r="1.4" '
@@ -205,9 +216,8 @@ def _curve_svg(curve: EffectCurve, unit: str) -> Markup:
         f'<svg viewBox="0 0 {WIDTH:.0f} {HEIGHT:.0f}" width="100%" role="img" '
         f'aria-label="{ranges}">'
         f'<line x1="0" x2="{WIDTH:.0f}" y1="{middle:.1f}" y2="{middle:.1f}" stroke="#c8ced4"/>'
-        f'{points}<text x="{MARGIN}" y="{HEIGHT - 3:.0f}" font-size="9.5" fill="#52606d">'
-        f"{ranges}</text></svg>"
-    )
+        f"{points}</svg>"
+    ) + part("value muted", ranges)
 
 
 class FindingsView(View):
@@ -302,6 +312,7 @@ def _finding(proposed: ProposedEffect, *, present: bool, changed: bool) -> Marku
             f"status {proposed.status}", STATUS[proposed.status], id=f"status-{place(label)}",
             tip=STATUS_MEANING[proposed.status],
         ),
+        _atlas(label),
         cut_part("grow ellipsis muted", facts),
     ]  # fmt: skip
     if before and after is not None:

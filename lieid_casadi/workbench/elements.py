@@ -26,8 +26,10 @@ SCALE = (
     (float("inf"), "#b03a00"),
 )
 _EMIT_ACTION = """(event) => {
-  const part = event.target.closest('[data-action]');
-  if (part) emit(part.dataset.action);
+  const part = event.target.closest('[data-action], a, summary');
+  if (!part?.dataset.action) return;
+  if (event.type === 'keydown') event.preventDefault();  // space would scroll
+  emit(part.dataset.action);
 }"""
 # A list that is drawn again keeps the focus on the part with the same action.
 KEEP_FOCUS = """<script>
@@ -73,13 +75,13 @@ class View:
 class Parts:
     """A list of the page as HTML; ``act`` is called with the action of the part that is clicked.
 
-    Enter on a part that has the focus is a click. The list listens, not its parts: these may be
-    drawn again between the click and its arrival.
+    Enter and space on a part that has the focus are a click. The list listens, not its parts:
+    these may be drawn again between the click and its arrival.
     """
 
     def __init__(self, css: str, act: Callable[[str], Awaitable[None]]) -> None:
         self.element = ui.html("", sanitize=False).classes(f"parts {css}")
-        for kind in ("click", "keydown.enter"):
+        for kind in ("click", "keydown.enter", "keydown.space"):
             self.element.on(kind, lambda event: act(event.args), js_handler=_EMIT_ACTION)
 
     def show(self, *parts: Markup) -> None:

@@ -175,6 +175,35 @@ def series_of(evaluation: Evaluation | None, title: str) -> list[Series]:
     ]
 
 
+def difference_tables(
+    session: Session, position: int, evaluations: tuple[Evaluation, Evaluation], joint: int | None
+) -> list[Table]:
+    """Return the errors of the model at ``position`` and of the shown one, and other effects.
+
+    Those on one joint, from 0, and on the whole arm; on all joints if ``joint`` is None.
+    """
+    models = [f"model {position + 1}", f"model {session.position + 1}"]
+    errors = zip(*(each.errors.shown for each in evaluations), strict=True)
+    rows = [
+        [j, a, b, f"{100.0 * (b / a - 1.0):+.0f} %" if a and b is not None else None]
+        for j, (a, b) in enumerate(errors, start=1)
+    ]
+    values: dict[str, list[str]] = {}
+    for k, each in enumerate(evaluations):
+        for row in each.effects:
+            if joint is None or row.joint in (joint, None):
+                values.setdefault(row.label, ["–", "–"])[k] = ", ".join(row.values)
+    place = "" if joint is None else f" on joint {joint + 1}"
+    return [
+        make_table(f"RMS error, {session.error_name}, N·m", ["joint", *models, "change"], rows),
+        make_table(
+            f"Effects that differ{place}",
+            ["effect", *models],
+            [[label, *both] for label, both in values.items() if both[0] != both[1]],
+        ),
+    ]
+
+
 def page_tables(session: Session, opened: OpenedInputs, evaluation: Evaluation) -> list[Table]:
     """Return what the page lists as tables: errors, effects, history, and what was found."""
     comparison = evaluation.test or evaluation.train

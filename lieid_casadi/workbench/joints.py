@@ -12,6 +12,7 @@ from nicegui import ui
 
 from lieid_casadi.comparison.plot_style import ERROR, MEASURED, PREDICTED, envelope
 from lieid_casadi.comparison.series import Series
+from lieid_casadi.tables import html
 from lieid_casadi.workbench.elements import (
     BAND,
     COMPARED,
@@ -31,7 +32,7 @@ from lieid_casadi.workbench.elements import (
     set_text,
     text,
 )
-from lieid_casadi.workbench.evaluation import SimulationError, series_of
+from lieid_casadi.workbench.evaluation import SimulationError, difference_tables, series_of
 from lieid_casadi.workbench.session import ModelStep, Numbers, StepErrors
 from lieid_casadi.workbench.workbench import Workbench
 
@@ -52,7 +53,7 @@ class JointsView(View):
         with ui.column().classes("panel w-full"):
             self._title = ui.label("Error of each joint").classes("panel-title")
             self._list = Parts("joint-list", self._select)
-            self._reason = text("", "muted small w-full ellipsis", "not-simulated")
+            self._reason = text("", "muted small w-full", "not-simulated")
 
     async def _select(self, joint: str) -> None:
         self.workbench.show(replace(self.workbench.session, joint=int(joint)))
@@ -172,12 +173,36 @@ class HistoryView(View):
         return part(f"history-row {state}", *shown, id=f"step-{k + 1}", action=f"show {k}")
 
 
+class DifferenceView(View):
+    """Errors and effects of the compared model beside those of the shown one."""
+
+    def __init__(self, workbench: Workbench) -> None:
+        super().__init__(workbench)
+        with ui.column().classes("panel w-full") as self._panel:
+            self._title = text("Difference", "panel-title")
+            self._tables = named(ui.html("", sanitize=False), "difference-table")
+            self._tables.classes("difference")
+
+    def update(self) -> None:
+        """Show the tables while a model is compared."""
+        workbench, session = self.workbench, self.workbench.session
+        shown, other, position = workbench.evaluation, workbench.compared, workbench.view.compared
+        self._panel.set_visibility(other is not None)
+        if shown is None or other is None or position is None:
+            return
+        if self.is_new(shown, other, position, session.position, session.joint):
+            titles = (session.history[k].title for k in (position, session.position))
+            set_text(self._title, " → ".join(titles))
+            tables = difference_tables(session, position, (other, shown), session.joint)
+            self._tables.set_content(html(*(t for t in tables if t.rows)))
+
+
 class Overview(View):
     """Torque and error of every joint along the recording that is shown; a click selects one."""
 
     def __init__(self, workbench: Workbench) -> None:
         super().__init__(workbench)
-        self._pictures: list[Markup] = []
+        self._pictures: list[tuple[Markup, str]] = []
         with ui.column().classes("panel w-full"):
             title = "All joints: measured and predicted torque, error below"
             ui.label(title).classes("panel-title")
@@ -198,26 +223,32 @@ class Overview(View):
             series = series_of(evaluation, opened.recordings[session.recording].name)
             drawn = enumerate(opened.units)
             self._pictures = [_joint_svg(series, j, floors[j], unit) for j, unit in drawn]
+            count = len(self._pictures)
+            half = count if count <= 4 else (count + 1) // 2  # so that no place stays empty
+            self._list.element.style(f"--all: {count}; --half: {half}")
         self._list.show(
             *(
                 part(
                     f"overview-joint {'selected' if j == session.joint else ''}",
                     part("small ellipsis", f"{j + 1} {name}"),
                     picture,
+                    cut_part("muted small ellipsis", ranges),
                     tip=f"joint {j + 1} {name}",
                     action=str(j),
                 )
-                for j, (name, picture) in enumerate(
+                for j, (name, (picture, ranges)) in enumerate(
                     zip(opened.joint_names, self._pictures, strict=True)
                 )
             )
         )
 
 
-def _joint_svg(series: list[Series], joint: int, floor: float | None, unit: str) -> Markup:
-    """Return a picture of the torque of a joint, and of its error with the noise band."""
+def _joint_svg(
+    series: list[Series], joint: int, floor: float | None, unit: str
+) -> tuple[Markup, str]:
+    """Return a picture of the torque of a joint and of its error with the noise band; ranges."""
     if not series:
-        return Markup()
+        return Markup(), ""
     start, end = series[0].time[0], series[-1].time[-1]
     size = max(float(np.abs(s.measured[:, joint]).max()) for s in series) or 1.0
     error = max(float(np.abs(s.error[:, joint]).max()) for s in series) or 1.0
@@ -237,8 +268,7 @@ def _joint_svg(series: list[Series], joint: int, floor: float | None, unit: str)
                 f'<polyline points="{line}" fill="none" stroke="{colour}" stroke-width="{width}"/>'
             )
     ranges = f"±{figures(size, digits=2)}, error ±{figures(error, digits=2)} {unit}"
-    lines.append(f'<text x="0" y="102" font-size="13" fill="#52606d">{ranges}</text>')
-    return Markup(f'<svg viewBox="0 0 200 106" width="100%" role="img">{"".join(lines)}</svg>')
+    return Markup(f'<svg viewBox="0 0 200 92" width="100%">{"".join(lines)}</svg>'), ranges
 
 
 class WaterfallView(View):
@@ -301,7 +331,7 @@ def _waterfall_options(
         **PLAIN,
         "animation": playing is not None,
         "animationDurationUpdate": 300,
-        "grid": {"left": 46, "right": 8, "top": 40, "bottom": 34},
+        "grid": {"left": 46, "right": 8, "top": 50, "bottom": 34},
         "legend": {"type": "plain", "top": 0, "left": 0, "itemWidth": 12, "itemHeight": 8,
                    "itemGap": 8, "textStyle": {"fontSize": 11}},
         "tooltip": {"trigger": "axis"},

@@ -22,8 +22,14 @@ from lieid_casadi.workbench.elements import (
     set_text,
     text,
 )
-from lieid_casadi.workbench.evaluation import page_tables
-from lieid_casadi.workbench.joints import HistoryView, JointsView, Overview, WaterfallView
+from lieid_casadi.workbench.evaluation import difference_tables, page_tables
+from lieid_casadi.workbench.joints import (
+    DifferenceView,
+    HistoryView,
+    JointsView,
+    Overview,
+    WaterfallView,
+)
 from lieid_casadi.workbench.open_panel import OpenPanel
 from lieid_casadi.workbench.plots import (
     CorrelationPlot,
@@ -58,7 +64,7 @@ def build_page(workbench: Workbench, token: str) -> Callable[[], None]:
     views: list[View] = [toolbar, panel, PremisesView(workbench), FindingsView(workbench)]
     with ui.element("div").classes("columns"):
         with ui.column().classes("side"):
-            views += [JointsView(workbench), HistoryView(workbench)]
+            views += [JointsView(workbench), HistoryView(workbench), DifferenceView(workbench)]
         with ui.column().classes("middle"):
             with ui.element("div").classes("top-row"):
                 arm = ArmView(workbench, lambda time: torque.move_cursor(time))
@@ -168,9 +174,13 @@ class Toolbar(View):
         opened, evaluation = self.workbench.opened, self.workbench.evaluation
         if opened is None or evaluation is None:
             return None
+        session, other = self.workbench.session, self.workbench.compared
+        tables, position = page_tables(session, opened, evaluation), self.workbench.view.compared
+        if other is not None and position is not None:
+            tables += difference_tables(session, position, (other, evaluation), None)
         content = io.BytesIO()
         with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-            for table in page_tables(self.workbench.session, opened, evaluation):
+            for table in tables:
                 archive.writestr(f"{table.title}.csv", table.csv)
         return "tables.zip", content.getvalue()
 

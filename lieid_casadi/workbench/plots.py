@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -109,6 +110,7 @@ class TorquePlot(View):
     def __init__(self, workbench: Workbench) -> None:
         super().__init__(workbench)
         self._span = (0.0, 1.0)
+        self._selection: tuple[float, float] | None = None
         with ui.column().classes("panel w-full"):
             with ui.row().classes("w-full items-center gap-2 no-wrap"):
                 self._title = text("Torque", "panel-title grow")
@@ -116,7 +118,10 @@ class TorquePlot(View):
                 self._recording.props("dense borderless options-dense").classes("choice")
                 named(self._recording, "recording")
             with ui.row().classes("w-full items-center gap-2 no-wrap"):
-                self._hint = text("", "muted small grow ellipsis")
+                hint = "drag: select; wheel: zoom; shift and drag: move; click: show on the arm"
+                text(hint, "muted small grow ellipsis")
+                self._range = ui.input("select from to, s").props("dense").classes("range")
+                named(self._range, "range").on("keydown.enter", self._select_range)
                 self._exclude = button(
                     "Exclude selection",
                     "exclude-selection",
@@ -134,10 +139,11 @@ class TorquePlot(View):
         """Draw the current evaluation; the window of time stays if the recording does."""
         workbench = self.workbench
         view, session, opened = workbench.view, workbench.session, workbench.opened
-        hint = "drag: select; wheel: zoom; shift and drag: move; click: show on the arm"
-        if view.selection is not None:
-            hint = f"selected {view.selection[0]:.2f} to {view.selection[1]:.2f} s"
-        set_text(self._hint, hint)
+        if view.selection != self._selection:
+            self._selection = view.selection
+            self._range.value = (
+                "" if view.selection is None else "{:.2f} {:.2f}".format(*view.selection)
+            )
         self._exclude.set_enabled(view.selection is not None and session.inputs.mode == "missing")
         evaluation, compared = workbench.evaluation, workbench.compared
         if evaluation is None or opened is None or session.step is None:
@@ -206,6 +212,18 @@ class TorquePlot(View):
             if COLUMNS * (end - start) > last - first:  # shorter: a click, not a selection
                 selection = (start, end)
         self.workbench.look(replace(self.workbench.view, selection=selection))
+
+    def _select_range(self) -> None:
+        """Select and show the range of time that is typed; the whole recording without one."""
+        ends = [float(x) for x in re.findall(r"-?\d+\.?\d*", self._range.value or "")]
+        if len(ends) != 2:
+            self.workbench.look(replace(self.workbench.view, selection=None))
+            self._reset()
+            return
+        start, end = np.clip(sorted(ends), *self._span).tolist()
+        self.workbench.look(replace(self.workbench.view, selection=(start, end)))
+        zoom = {"type": "dataZoom", "startValue": start, "endValue": end}
+        self._chart.run("dispatchAction", zoom)
 
     def _show_instant(self, event: GenericEventArguments) -> None:
         first, last = self._span

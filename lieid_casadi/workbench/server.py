@@ -22,6 +22,7 @@ from pathlib import Path
 from types import FrameType
 from urllib.parse import parse_qs
 
+from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import LieidError, MissingDependency, UsageError
 
 try:
@@ -37,6 +38,7 @@ except ImportError as error:
         "lieid workbench needs NiceGUI: pip install 'lieid-casadi[workbench]'"
     ) from error
 
+from lieid_casadi.report import effect_page
 from lieid_casadi.workbench.evaluation import OpenedInputs
 from lieid_casadi.workbench.page import build_page
 from lieid_casadi.workbench.session import WorkbenchInputs, WorkerSetup, is_name, load_session
@@ -241,7 +243,7 @@ def serve(
 
 
 def _application(sessions: Sessions, token: str) -> FastAPI:
-    """Return the application with the page and the meshes of its arms."""
+    """Return the application with the page, the meshes of its arms and the atlas of effects."""
 
     @ui.page("/", title="lieid workbench")
     async def index(client: Client, session: str = "") -> None:
@@ -266,6 +268,12 @@ def _application(sessions: Sessions, token: str) -> FastAPI:
             return Response(status_code=404)
         header = {"Cache-Control": "no-store"}  # another arm has the same addresses
         return Response(opened.meshes[number].stl, media_type="model/stl", headers=header)
+
+    @nicegui_app.get("/atlas/{label:path}")
+    def atlas(label: str) -> Response:
+        if label not in REGISTER:
+            return Response(status_code=404)
+        return Response(effect_page(label), media_type="text/html")
 
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     ui.run_with(app, show_welcome_message=False, reconnect_timeout=RECONNECT_SECONDS, tailwind=True)

@@ -33,7 +33,7 @@ from lieid_casadi.workbench.worker import (
 
 KEPT_RESULTS = 72  # evaluations, curves and simulations
 SOON = 1.0  # s; work that takes longer has a progress bar
-PLAY_SECONDS = 0.35  # for which the errors of each model are shown on the way to the last
+PLAY_SECONDS = 0.35, 2.5  # of each model on the way to the last, and of all of them at most
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Workbench:
         self._results: dict[tuple[str, object], Any] = {}
         self._front = worker or Worker(setup)
         self._back = Worker(setup)
-        self._closed = False
+        self._closed, self._completing = False, asyncio.Lock()
         self._listeners: list[Callable[[], None]] = []
         self._tasks: set[asyncio.Task[Any]] = set()
 
@@ -251,21 +251,27 @@ class Workbench:
         title = f"+ {chosen[0].label}" if count == 1 else f"+ all {count} effects found"
         self.playing = found.path[0] if found.path else None
         await self.apply(session.with_effects(title, found.model))
-        for errors in found.path[1:-1]:
+        between = found.path[1:-1]
+        for errors in between:
             self.playing = errors
             self.changed()
-            await asyncio.sleep(PLAY_SECONDS)
+            await asyncio.sleep(min(PLAY_SECONDS[0], PLAY_SECONDS[1] / len(between)))
         self.playing = None
         self.changed()
 
     async def compare_with(self, position: int | None) -> None:
         """Show a step of the history beside the current one; None ends the comparison."""
         self.look(replace(self.view, compared=position))
-        if position is None or self.compared is not None:
+        if position is None:
             return
-        step = self.session.history[position]
-        made = await self._evaluated(self._front, step, quick=True)
-        if made is not None:
+        inputs, step = self.session.inputs, self.session.history[position]
+        for worker, quick in ((self._front, True), (self._back, False)):
+            known = self.compared
+            if known is not None and (quick or known.complete):
+                continue
+            made = await self._evaluated(worker, step, quick=quick)
+            if made is None or self.session.inputs is not inputs or self.view.compared != position:
+                return
             self._keep("evaluation", step, made)
 
     async def find_missing(self) -> None:
@@ -400,14 +406,21 @@ class Workbench:
         await self._simulate()
 
     async def _completed(self, worker: Worker, step: ModelStep, quick: Evaluation) -> bool:
-        """Replace a quick evaluation; again if the process was stopped meanwhile."""
+        """Replace a quick evaluation; again if the process was stopped meanwhile.
+
+        One after the other: steps that were left before their turn are skipped.
+        """
         inputs, made = self.session.inputs, None
-        while made is None and not self._closed:
-            made = await self._evaluated(worker, step, quick=False)
+
+        def left() -> bool:
             shown = self.session.step
-            left = self.session.inputs is not inputs or shown is None or shown.key != step.key
-            if self.error or left:
-                break
+            return self.session.inputs is not inputs or shown is None or shown.key != step.key
+
+        async with self._completing:
+            while made is None and not (self._closed or left()):
+                made = await self._evaluated(worker, step, quick=False)
+                if self.error:
+                    break
         if made is None or self.session.inputs is not inputs:
             return False
         if quick.exact:  # the same fit: views that show its torque need not draw it again

@@ -1,14 +1,16 @@
-"""Time from a click in the workbench to updated figures: p50 and p95, server and browser apart.
+"""Time from a click in the workbench to updated figures, and memory: p50 and p95 of many clicks.
 
-    python tests/benchmarks/workbench_latency.py [--samples 1000000] [--json FILE]
+    python tests/benchmarks/workbench_latency.py [--samples 1000000] [--clicks 200] [--json FILE]
 
 Without ``--samples`` on the UR10e recordings (80 s to fit, LIEID_RECORDINGS), otherwise on
-simulated recordings of that many samples. Each click adds one effect of the library to the first
-model, so that every click needs a fit. "server" is the fit and the comparisons in the worker
-process; "page" is the time from the click to the new number and drawn figures in the page, in a
-browser that renders in software on the same cores; "browser" is the difference. The CPU times, of
-the worker and of the main thread of the page, depend little on what else runs on the machine.
-Standard deviations and noise floor follow later and are not part of these times.
+simulated recordings of that many samples. Every second click adds another effect of the library to
+the first model, on another joint, so that it needs a fit; the others undo it. "server" is the fit
+and the comparisons in the worker process; "page" is the time from the click to the new number and
+drawn figures in the page, in a browser that renders in software on the same cores; "browser" is the
+difference. The CPU times, of the worker and of the main thread of the page, depend little on what
+else runs on the machine. Standard deviations and noise floor follow later and are not part of these
+times: the next click comes half a second after the numbers, whether they are there or not. Memory:
+of the server and its processes, and of the page, after a tenth of the clicks and after all.
 """
 
 import argparse
@@ -36,11 +38,20 @@ from lieid_casadi.workbench.session import (
     WorkbenchInputs,
 )
 
-EFFECTS = (
-    "load_friction:2", "stribeck:3", "viscous_polynomial:1", "presliding:4", "position_friction:2",
-    "transmission_coupling:5<6", "armature:6", "load_friction:3", "stribeck:1", "torque_delay:3",
-    "viscous_asymmetric:2", "presliding:6",
+KINDS = (
+    "load_friction", "stribeck", "viscous_polynomial", "presliding", "position_friction",
+    "transmission_coupling", "armature", "torque_delay", "viscous_asymmetric", "torque_ripple",
+    "sigmoid_friction", "bias_drift", "torque_gain", "backlash", "position_spring",
+    "joint_elasticity", "torque_lowpass",
 )  # fmt: skip
+JOINTS = 6
+#: One on each joint: a kind comes again after all others.
+EFFECTS = [
+    f"{kind}:{j}<{j % JOINTS + 1}" if kind == "transmission_coupling" else f"{kind}:{j}"
+    for turn in range(JOINTS)
+    for k, kind in enumerate(KINDS)
+    for j in [(turn + k) % JOINTS + 1]
+]
 COMPLETE = '[data-testid="verdict"][data-complete="true"]'
 # Ends once the number is new and each of the three charts was drawn since; see `measure`.
 CLICK = """
@@ -114,15 +125,26 @@ def thread_time(page) -> float:
     return next(m["value"] for m in metrics if m["name"] == "TaskDuration")
 
 
-def measure(inputs: WorkbenchInputs, folder: Path):
-    """Return the times of the page and of the server, s, one per click."""
+def memory(page, server) -> tuple[float, float]:
+    """Return the memory of the server with its processes, and of the page, MB."""
+    children = Path(f"/proc/{server.process.pid}/task/{server.process.pid}/children").read_text()
+    texts = [Path(f"/proc/{p}/status").read_text() for p in [server.process.pid, *children.split()]]
+    kilobytes = [int(text.partition("VmRSS:")[2].split()[0]) for text in texts]
+    page.driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
+    heap = page.driver.execute_cdp_cmd("Runtime.getHeapUsage", {})["usedSize"]
+    return round(sum(kilobytes) / 1e3, 1), round(heap / 1e6, 1)
+
+
+def measure(inputs: WorkbenchInputs, folder: Path, clicks: int):
+    """Return the times of the page and of the server, s, one per fit, and the memory."""
     words = [inputs.robot]
     for role in ("train", "test"):
         words += [f"--{role}", *inputs.paths(role)]
     server = Server(*words, folder=folder / "sessions")
-    page = Page(1300, 1000)
+    page = Page(1300, 900)
     page.driver.set_script_timeout(90)
     page.driver.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
+    effects = EFFECTS[: clicks // 2]
     try:
         page.driver.get(server.url)
         page.wait(lambda: page.number("error-1") > 0.0, "the first fit", 300.0)
@@ -131,7 +153,7 @@ def measure(inputs: WorkbenchInputs, folder: Path):
         content = msgspec.json.decode(file.read_bytes(), type=SessionContent)
         session: Session = content.session
         proposed = tuple(
-            ProposedEffect(label, label.partition(":")[0], (1,), 0, 1.0, 0.5) for label in EFFECTS
+            ProposedEffect(label, label.partition(":")[0], (1,), 0, 1.0, 0.5) for label in effects
         )
         found = FoundEffects("effect_found", "", proposed, session.history[0].effects)
         content.session = replace(session, found=found)
@@ -140,11 +162,12 @@ def measure(inputs: WorkbenchInputs, folder: Path):
             msgspec.json.encode(msgspec.to_builtins(content))
         )
         page.driver.get(f"{server.url}&session={other}")
-        page.wait(lambda: page.elements("candidate-load_friction-2"), "the proposals", 300.0)
+        page.wait(lambda: page.elements("candidate-load_friction-1"), "the proposals", 300.0)
         page.wait(lambda: page.number("error-1") > 0.0, "the first fit", 300.0)
+        page.wait(lambda: page.driver.find_elements("css selector", COMPLETE), "the rest", 300.0)
         time.sleep(5.0)  # the second process has started, curves are computed
-        times = []
-        for label in EFFECTS:
+        times, used = [], []
+        for k, label in enumerate(effects):
             spot = label.replace(":", "-").partition("<")[0]
             before = thread_time(page)
             took, seconds = page.driver.execute_async_script(CLICK, f"candidate-{spot}")
@@ -156,14 +179,13 @@ def measure(inputs: WorkbenchInputs, folder: Path):
                 f"CPU {cpu:.2f} s and {drawing:.2f} s\n"
             )
             sys.stdout.flush()
-            page.wait(
-                lambda: page.driver.find_elements("css selector", COMPLETE), "the rest", 300.0
-            )
             time.sleep(0.5)
             page.click("undo")
             page.wait(lambda: "in the model" not in page.driver.page_source, "undo")
-            time.sleep(1.0)
-        return times
+            time.sleep(0.5)
+            if k + 1 in (max(len(effects) // 10, 1), len(effects)):
+                used.append(memory(page, server))
+        return times, used
     finally:
         page.driver.quit()
         server.stop()
@@ -173,12 +195,13 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--samples", type=int)
+    parser.add_argument("--clicks", type=int, default=200)
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         inputs = ur10e() if args.samples is None else simulated(args.samples, folder)
-        times = measure(inputs, folder)
+        times, used = measure(inputs, folder, args.clicks)
     both = np.array([row[1:] for row in times])
     result = {
         name: {f"p{p}": round(float(np.percentile(values, p)), 3) for p in (50, 95)}
@@ -187,6 +210,7 @@ def main() -> None:
             ("browser", both[:, 0] - both[:, 1]), ("browser CPU", both[:, 3]),
         )
     }  # fmt: skip
+    result["MB of server and page"] = used
     sys.stdout.write(f"{result}\n")
     if args.json:
         args.json.write_text(json.dumps(result))

@@ -18,6 +18,51 @@ AGAIN = 5.0  # s after which a click is repeated whose effect is not seen
 PORTS = 5  # tried one after the other: another program may take a free one first
 
 
+SIZES = ((1300, 900), (1920, 1080), (1024, 768))
+# Texts that are cut without a tooltip, and texts outside of the panel that they belong to.
+CUT = """
+const texts = [...document.querySelectorAll('.panel *, .toolbar *, .verdict-panel *')].filter(
+  (e) => e.offsetParent && [...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim()));
+const cut = (e) => getComputedStyle(e).overflowX !== 'visible'
+  && e.scrollWidth > e.clientWidth + 1 && !e.closest('[title]');
+const outside = (e) => {
+  const panel = e.closest('.panel, .toolbar, .verdict-panel').getBoundingClientRect();
+  const box = e.getBoundingClientRect();
+  return box.right > panel.right + 1 || box.left < panel.left - 1;
+};
+return texts.filter((e) => cut(e) || outside(e)).map((e) => e.textContent.trim().slice(0, 60));
+"""
+# Texts whose contrast with their background is below 4.5 (WCAG 2.1), but those of disabled buttons.
+FAINT = """
+const parse = (c) => c.match(/[0-9.]+/g).map(Number);
+const light = (c) => {
+  const [r, g, b] = c.slice(0, 3).map((v) => v / 255).map(
+    (v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+  return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+};
+const background = (e) => {
+  for (; e; e = e.parentElement) {
+    const c = parse(getComputedStyle(e).backgroundColor);
+    if (c.length === 3 || c[3] > 0.99) return c;
+  }
+  return [255, 255, 255];
+};
+const texts = [...document.querySelectorAll('body *')].filter((e) => e.offsetParent
+  && !e.closest('.disabled, canvas, .material-icons, .q-icon')
+  && [...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim()));
+const ratio = (e) => {
+  const [a, b] = [light(parse(getComputedStyle(e).color)), light(background(e))].sort();
+  return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+};
+return texts.filter((e) => ratio(e) < 4.5).map(
+  (e) => `${e.textContent.trim().slice(0, 40)}: ${ratio(e).toFixed(2)}`);
+"""
+VIEWS = (
+    "arm-view", "torque-plot", "residual-plot", "correlation-plot", "spectrum-plot", "waterfall",
+    "overview", "error-1", "undo", "redo", "find-missing", "export",
+)  # fmt: skip
+
+
 class Server:
     """``lieid workbench WORDS`` with its own folder of sessions."""
 
@@ -174,6 +219,24 @@ class Page:
         if PICTURES:
             Path(PICTURES).mkdir(parents=True, exist_ok=True)
             self.driver.save_screenshot(str(Path(PICTURES) / f"{name}.png"))
+
+    def check_layout(self, name: str) -> None:
+        """Check at three sizes that no text is cut or faint, and no view is beside the window."""
+        wide = "return [document.documentElement.scrollWidth, window.innerWidth]"
+        for width, height in SIZES:
+            size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+            self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+            self.wait(lambda w=width: self.driver.execute_script(wide)[1] == w, "the size")
+            self.wait(lambda: self.driver.execute_script(CUT) == [], f"no text cut at {width}")
+            assert self.driver.execute_script(FAINT) == []
+            self.picture(f"{name}_{width}")
+            page_width, available = self.driver.execute_script(wide)
+            assert page_width <= available
+            for view in VIEWS:
+                box = self.element(view).rect
+                assert box["width"] > 10
+                assert box["x"] + box["width"] <= width
+        self.driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
     def script_errors(self) -> list[str]:
         """Return what the browser reported as errors of the page."""

@@ -27,19 +27,40 @@ def test_the_missing_effect_is_found_and_added(start, browse, two_link_files):
     page.wait(lambda: page.number("error-1") == before, "undo")
     page.click("redo")
     page.wait(lambda: page.number("error-1") == after, "redo")
-    page.picture("two_link_added")
+    the_first_model_is_compared_with_it(page, before, after)
+    the_atlas_describes_the_effect(page)
+    page.check_layout("two_link_added")
     _only_own_requests(page, server)
     assert page.script_errors() == []
     assert server.stop() == (0, "")
 
 
 def the_keyboard_selects_a_joint(page):
-    """Enter selects the joint that has the focus; it keeps the focus when it is drawn again."""
-    for joint in ("joint-2", "joint-1"):
+    """Enter and space select the joint that has the focus; it keeps it when it is drawn again."""
+    for joint, key in (("joint-2", "\n"), ("joint-1", " ")):
         page.driver.execute_script("arguments[0].focus()", page.element(joint))
-        page.driver.switch_to.active_element.send_keys("\n")
+        page.driver.switch_to.active_element.send_keys(key)
         page.wait(lambda j=joint: "selected" in page.element(j).get_attribute("class"), joint)
         assert page.driver.switch_to.active_element.get_attribute("data-testid") == joint
+
+
+def the_first_model_is_compared_with_it(page, before, after):
+    """The table has the numbers of the page, and the effect that one model lacks."""
+    page.click("compare-1", done=lambda: page.elements("compared-1"))
+    page.wait(lambda: "load_friction:1 – f_tau" in page.text("difference-table"), "the table")
+    joint = page.text("difference-table").split("model 1 model 2 change\n1 ")[1].split()
+    assert [float(figures(float(number))) for number in joint[:2]] == [before, after]
+    page.click("compare-1", done=lambda: not page.elements("compared-1"))
+
+
+def the_atlas_describes_the_effect(page):
+    """The link of an effect opens its page, which the server serves."""
+    page.click("atlas-load_friction-1", done=lambda: len(page.driver.window_handles) > 1)
+    first, atlas = page.driver.window_handles[:2]
+    page.driver.switch_to.window(atlas)
+    page.wait(lambda: "revealed by" in page.driver.page_source, "the description")
+    page.driver.close()
+    page.driver.switch_to.window(first)
 
 
 def error_with(label, train, test):
