@@ -1,8 +1,7 @@
 """Closed form of the dynamics: M, C, G and J as expressions (Luo et al. 2024, Eqs. 4-5).
 
 The products of the paper's stacked matrices (``examples/paper/stacked_form.py``) are evaluated
-block by block, without their zeros: B·ξ is the stack of the link Jacobians
-J_i = Ad⁻¹J_{i−1} + ξ_i·e_iᵀ. Link parameters are vectors (10 n,).
+block by block, without their zeros. Link parameters are vectors (10 n,).
 """
 
 from __future__ import annotations
@@ -38,16 +37,6 @@ def _inertia(link: ca.SX) -> ca.SX:
         ca.horzcat(link[5], link[6], link[8]),
         ca.horzcat(link[7], link[8], link[9]),
     )
-
-
-def link_jacobians(robot: Robot, motion: Motion) -> list[ca.SX]:
-    """Return J_i (6, n) of each link, in its own frame: V_i = J_i·q̇ (the blocks of B·ξ)."""
-    jacobian, jacobians = ca.SX(6, robot.n), []
-    for i, (g, xi) in enumerate(zip(relative_poses(robot, motion), axes(robot), strict=True)):
-        jacobian = inverse_adjoint_times(g, jacobian)
-        jacobian[:, i] = xi
-        jacobians.append(jacobian)
-    return jacobians
 
 
 def _links(parameters: ca.SX) -> list[ca.SX]:

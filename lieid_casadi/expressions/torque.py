@@ -114,7 +114,7 @@ def _members(model: Model, group: str) -> list[int]:
     if where:
         stated = [int(j) for j in where.split("+") if j.isdecimal()]
         if len(stated) != len(where.split("+")) or not set(stated) <= set(range(1, n + 1)):
-            raise ModelError(f"free: {group!r} names no joints 1 to {n}; expected such as {name}:3")
+            raise ModelError(f"free: {group!r} names no joints 1 to {n}; expected such as {name}:1")
         joints = {j - 1 for j in stated}
     links = [f"link{j + 1}" for j in range(n)]
     if name in links and not where:

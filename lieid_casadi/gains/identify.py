@@ -324,8 +324,9 @@ def drive_gains(
     """Identify the gain of every drive in N·m/A (N·m/rad) from a payload of known mass.
 
     Gains, base parameters of the arm, friction and the unknown parameters of the payload are
-    identified together by total least squares; the known mass determines the scale (Gautier,
-    Briot, "Global identification of joint drive gains and dynamic parameters of robots", 2014).
+    identified together by maximum likelihood with noisy currents; the known mass determines the
+    scale (Gautier, Briot, "Global identification of joint drive gains and dynamic parameters of
+    robots", 2014).
 
     Parameters
     ----------
@@ -411,8 +412,8 @@ def _result(
     relative = rms / np.where(spread > 0.0, spread, np.nan)
     moves = np.array([len(i) > 0 for i in solution.currents])
     identifiable = _identifiable(solution, n) & moves
-    _require_load(gains, std, identifiable, mass)
     _require_arm(model, relative, recordings)
+    _require_load(gains, std, identifiable, mass)
     com, com_std = _centre(model, solution, mass, known)
     return DriveGains(
         robot=model.robot,

@@ -1,12 +1,10 @@
-"""The stacked equations of drive gains, solved by total least squares.
+"""The stacked equations of drive gains, and the gains of largest likelihood.
 
 The equation of joint j is i_j·k_j − M_j·β − M_j·B·π = 0, in which the known mass of the payload is
 one column with coefficient 1: M. Gautier, S. Briot, "Global identification of joint drive gains and
 dynamic parameters of robots", J. Dynamic Systems, Measurement, and Control 2014. Only the currents
-are noisy, each with its own noise level. `null_vector` eliminates the exact columns first (Golub,
-Hoffman, Stewart, Linear Algebra and its Applications 1987) and weights the rows of all joints
-equally. `most_likely` starts from its result and maximizes the likelihood, which weights the error
-of each current with that current's noise.
+are noisy, each with its own noise level: the likelihood weights the error of each current with that
+current's noise, which linear least squares, the start of the search, does not.
 """
 
 from __future__ import annotations
@@ -42,47 +40,35 @@ MOST_EVALUATIONS = 50  # of the nonlinear least-squares search
 
 
 @dataclass(frozen=True, eq=False)
-class NullVector:
-    """The null vector [gains; others; 1] of the stacked rows."""
+class Unknowns:
+    """A solution [gains; others; 1] of the stacked rows."""
 
     gains: Array  # (n,) N·m/A; zero for a zero column, that is for a joint that never moves
     #: (q − 1,) Coefficients of the exact columns without the last column, whose coefficient is 1
     others: Array
 
 
-def null_vector(factor: Factor, noise: Array) -> NullVector | None:
-    """Return the null vector, or None if the other columns explain the last column.
+def least_squares_start(factor: Factor, n: int) -> Unknowns | None:
+    """Return the linear least-squares solution, or None if the other columns explain the last one.
 
-    ``factor``: triangular factor of the weighted rows: n noisy columns, then q exact columns, the
-    last of which has coefficient 1; ``noise`` (n,): expected norm of the noise in the weighted rows
-    of each noisy column.
+    ``factor``: triangular factor of the rows: n noisy columns, then q exact columns, the last of
+    which has coefficient 1.
     """
-    n, r = len(noise), factor.r
-    moves = np.linalg.norm(r[:, :n], axis=0) > 0.0
-    noisy, exact = r[:, :n][:, moves] / noise[moves], r[:, n:]
-    size = np.linalg.norm(exact, axis=0)
-    exact = exact / np.where(size > 0.0, size, 1.0)
-    if size[-1] == 0.0 or not moves.any() or _own_part(exact) < INDEPENDENT:
+    size = np.linalg.norm(factor.r, axis=0)
+    r = factor.r / np.where(size > 0.0, size, 1.0)
+    if size[-1] == 0.0 or not size[:n].any() or _own_part(r[:, n:]) < INDEPENDENT:
         return None
-    u, singular, _ = np.linalg.svd(exact, full_matrices=False)
-    basis = u[:, singular > RANK * singular[0]]
-    _, _, vt = np.linalg.svd(noisy - basis @ (basis.T @ noisy))
-    direction = vt[-1]
-    coefficients = np.linalg.lstsq(exact, -noisy @ direction, rcond=RANK)[0]
-    coefficients = coefficients / np.where(size > 0.0, size, 1.0)
-    if coefficients[-1] == 0.0:
-        return None
-    gains = np.zeros(n)
-    gains[moves] = direction / noise[moves] / coefficients[-1]
-    return NullVector(gains, coefficients[:-1] / coefficients[-1])
+    x = np.linalg.lstsq(r[:, :-1], -r[:, -1], rcond=RANK)[0] * size[-1]
+    x /= np.where(size[:-1] > 0.0, size[:-1], 1.0)
+    return Unknowns(x[:n], x[n:])
 
 
-def most_likely(factors: Sequence[Factor], start: NullVector, noise: Array) -> NullVector:
+def most_likely(factors: Sequence[Factor], start: Unknowns, noise: Array) -> Unknowns:
     """Return gains and others that minimize Σ_j ‖i_j − torque_j/k_j‖² / σ_j².
 
     The unknowns are 1/k_j, so that a gain with a large uncertainty does not disturb the others.
 
-    ``factors``: triangular factors of each joint's rows, with the columns of `null_vector`;
+    ``factors``: triangular factors of each joint's rows, with the columns of `least_squares_start`;
     ``start``: a point near the minimum; ``noise`` (n,): standard deviations σ_j of the currents'
     noise, A.
     """
@@ -119,7 +105,7 @@ def most_likely(factors: Sequence[Factor], start: NullVector, noise: Array) -> N
     ).x
     gains = np.zeros(n)
     gains[moving] = 1.0 / x[: len(moving)]
-    return NullVector(gains, x[len(moving) :])
+    return Unknowns(gains, x[len(moving) :])
 
 
 def _own_part(exact: Array) -> float:
@@ -178,36 +164,21 @@ class GainProblem:
         """Alternate between gains, noise levels and load until the gains converge."""
         parameters, body = None, np.zeros(BODY)
         rows = self._rows(parameters, body)
-        noise = _own_noise(rows)
-        gains = np.zeros(self.model.n)
-        found: NullVector | None = None
-        converged = False
+        size = np.array([_size(j.matrix[:, k]) for k, j in enumerate(rows.joints)])
+        found = least_squares_start(combine(_factors(rows), 1.0 / size), self.model.n)
+        if found is None:
+            raise IdentificationError(
+                "the effect of the payload's mass cannot be separated from the unknown parameters "
+                "of arm and payload; expected the same motions with and without the payload, slow "
+                "and fast, or a known centre of mass (--com)"
+            )
+        gains, noise, converged = found.gains, self._noise(rows, found), False
         for _ in range(MOST_ITERATIONS):
             if self.moving_load and parameters is not None:
                 rows = self._rows(parameters, body)
-            factors = [
-                Factor(f.r[:, :-1], f.rows) for f in joint_factors(rows)
-            ]  # the right-hand side is zero
-            if found is None:
-                # after division by its noise level, each current has noise 1 in each row
-                size = np.sqrt(np.maximum(rows.lengths, 1))
-                found = null_vector(combine(factors, 1.0 / noise), size)
-            if found is None:
-                raise IdentificationError(
-                    "the effect of the payload's mass cannot be separated from the unknown "
-                    "parameters of arm and payload; expected the same motions with and without "
-                    "the payload, slow and fast, or a known centre of mass (--com)"
-                )
-            found = most_likely(factors, found, noise)
+            found = most_likely(_factors(rows), found, noise)
             change = np.abs(found.gains - gains) / np.maximum(np.abs(found.gains), 1e-300)
-            gains = found.gains
-            residuals = self._residuals(rows, found)
-            noise = np.array(
-                [
-                    _size(e) / abs(k) if len(e) else 1.0
-                    for e, k in zip(residuals, gains, strict=True)
-                ]
-            )
+            gains, noise = found.gains, self._noise(rows, found)
             values = found.others[: self.model.base.count]
             body = self.known.copy()
             body[self.unknown] = found.others[self.model.base.count :]
@@ -215,12 +186,11 @@ class GainProblem:
             if change.max() <= CONVERGED:
                 converged = True
                 break
-        assert found is not None
         torque_noise = np.where(gains != 0.0, np.abs(gains), 1.0) * noise
         return self._with_covariance(rows, found, body, torque_noise, converged)
 
     def _with_covariance(
-        self, rows: Rows, found: NullVector, body: Array, noise: Array, converged: bool
+        self, rows: Rows, found: Unknowns, body: Array, noise: Array, converged: bool
     ) -> GainSolution:
         """Evaluate the covariance at the noise-free currents that the solution predicts."""
         residuals = self._residuals(rows, found)
@@ -279,26 +249,20 @@ class GainProblem:
             matrix[:, -1] = -joint.matrix @ self.by_mass[joint.columns]
         return matrix
 
-    def _residuals(self, rows: Rows, found: NullVector) -> list[Array]:
+    def _noise(self, rows: Rows, found: Unknowns) -> Array:
+        """Return the noise (n,) of the currents, A."""
+        torque = np.array([_size(e) for e in self._residuals(rows, found)])
+        return torque / np.where(found.gains != 0.0, np.abs(found.gains), 1.0)
+
+    def _residuals(self, rows: Rows, found: Unknowns) -> list[Array]:
         solution = np.concatenate([found.gains, found.others, [1.0]])
         return [joint.matrix @ solution for joint in rows.joints]
 
 
-def _own_noise(rows: Rows) -> Array:
-    """Return the RMS of each current's part that the other columns do not explain, A."""
-    found = []
-    for j, joint in enumerate(rows.joints):
-        if not len(joint.torque):
-            found.append(1.0)
-            continue
-        others = np.delete(joint.matrix, j, axis=1)
-        size = np.linalg.norm(others, axis=0)
-        others = others[:, size > 0.0] / size[size > 0.0]
-        current = joint.matrix[:, j]
-        error = current - others @ np.linalg.lstsq(others, current, rcond=1e-9)[0]
-        found.append(_size(error))
-    return np.array(found)
+def _factors(rows: Rows) -> list[Factor]:
+    """Return the joints' triangular factors without the right-hand side, which is zero."""
+    return [Factor(f.r[:, :-1], f.rows) for f in joint_factors(rows)]
 
 
 def _size(error: Array) -> float:
-    return max(float(np.sqrt(np.mean(error**2))), 1e-12)
+    return max(float(np.sqrt(np.mean(error**2))), 1e-12) if len(error) else 1.0
