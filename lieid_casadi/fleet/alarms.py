@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lieid_casadi.errors import FleetError
-from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, FoundEffect, read_arms
+from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.judging import (
     ChangedQuantity,
@@ -20,6 +20,7 @@ from lieid_casadi.fleet.judging import (
     judge_night,
     label_of,
 )
+from lieid_casadi.fleet.night_result import Finding
 
 INSPECT = "inspect the joint, and identify the arm again if it is in order"
 ACTIONS = {
@@ -188,14 +189,14 @@ def _described(
 
 
 #: Effects and joints (from 1; None: the whole arm) with what the nights have found.
-Named = dict[tuple[str, int | None], list[FoundEffect]]
+Named = dict[tuple[str, int | None], list[Finding]]
 
 
 def _named(arm: ArmHistory, since: date) -> Named:
     """Return the effects that the diagnoses since a night have found, the largest first."""
     first = sum(night < since for night in arm.dates)
     after = arm.found[first:][-LATEST_NIGHTS:]
-    found: dict[tuple[str, int | None], list[FoundEffect]] = {}
+    found: dict[tuple[str, int | None], list[Finding]] = {}
     for key in {key for night in after for key in night if key[0] != UNEXPLAINED}:
         own = [night[key] for night in after if key in night]
         before = arm.found[arm.baseline_of(key[1]) : first]

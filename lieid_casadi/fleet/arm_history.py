@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.fleet.changes import EARLIER_NIGHTS, LATEST_NIGHTS, NightSeries, used_nights
 from lieid_casadi.fleet.history import History
+from lieid_casadi.fleet.night_result import Finding
 
 ERROR = "error"  # name of the series of a joint's error
 #: Motions are the same if positions differ by less than this part of the range, and this, rad.
@@ -66,22 +67,6 @@ class Quantity:
         return f"{self.name}:{self.joint}"
 
 
-@dataclass(frozen=True)
-class FoundEffect:
-    """An effect that the diagnosis of a night found; joint from 1, None for the whole arm."""
-
-    change: float
-    std: float | None
-    unit: str
-    severity: float
-    sentence: str
-
-    @property
-    def rivals(self) -> str:
-        """Effects that fit as well, separated by commas."""
-        return self.sentence.partition("; fits as well: ")[2]
-
-
 @dataclass(frozen=True, eq=False)
 class ArmHistory:
     """Nights of one arm with its present fit."""
@@ -92,7 +77,7 @@ class ArmHistory:
     dates: tuple[date, ...]  # one per night, increasing
     series: Mapping[Quantity, NightSeries]  # errors are logarithms relative to the expected error
     units: Mapping[Quantity, str]
-    found: tuple[Mapping[tuple[str, int | None], FoundEffect], ...]  # by effect and joint
+    found: tuple[Mapping[tuple[str, int | None], Finding], ...]  # by effect and joint
     shares: Array  # (N,) largest part of a joint's torque that the fit no longer predicts
     starts: Mapping[int | None, date]  # joint → first night of its baseline; None: of all joints
     limits: Mapping[str, list[float]]  # effect or parameter → largest permitted values
@@ -188,9 +173,10 @@ def _arm(
     for j in np.flatnonzero(np.isfinite(log_error).all(axis=1)):
         own = NightSeries(days, log_error[j], scales, unknown, motions)
         series[Quantity(ERROR, int(j) + 1)] = own
-    found: list[dict[tuple[str, int | None], FoundEffect]] = [{} for _ in dates]
-    for k, effect, finding_joint, *rest in rows["findings"]:
-        found[k][effect, finding_joint] = FoundEffect(*rest)
+    found: list[dict[tuple[str, int | None], Finding]] = [{} for _ in dates]
+    for k, *columns_of_finding in rows["findings"]:
+        finding = Finding(*columns_of_finding)
+        found[k][finding.effect, finding.joint] = finding
     shares = np.where(np.isfinite(lost), lost, 0.0).max(axis=0, initial=0.0)
     return ArmHistory(*identity, dates, series, units, tuple(found), shares, starts, limits)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 import secrets
-import shutil
+import subprocess
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -333,9 +333,15 @@ def snapshot_of(path: str | Path) -> Path:
 
 
 def copy_file(source: str | Path, target: str | Path) -> None:
-    """Copy a file that nobody writes meanwhile; the target is replaced as a whole."""
-    with open(source, "rb") as content, atomic_binary(target) as file:
-        shutil.copyfileobj(content, file, 2**20)
+    """Copy a file that nobody writes meanwhile; the target is replaced as a whole.
+
+    Another process reads it: the locks that DuckDB holds on a file end as soon as the process that
+    holds them closes the file anywhere, and a second one could then write to it.
+    """
+    with atomic_binary(target) as file:
+        done = subprocess.run(["cat", "--", str(source)], stdout=file, check=False)
+        if done.returncode:
+            raise FleetError(f"{source}: cannot be copied to {target}; expected space for it")
 
 
 def backup(path: str | Path, target: str | Path) -> bool:

@@ -58,6 +58,11 @@ class Finding:
     severity: float
     sentence: str
 
+    @property
+    def rivals(self) -> str:
+        """Effects that fit as well, separated by commas."""
+        return self.sentence.partition("; fits as well: ")[2]
+
 
 @dataclass(frozen=True)
 class ParameterEstimate:

@@ -11,8 +11,8 @@ from datetime import date, timedelta
 import numpy as np
 
 from lieid_casadi.fleet.arm_history import ERROR, LEAST_ERROR_SCATTER, ArmHistory, Quantity
-from lieid_casadi.fleet.arm_history import FoundEffect as Found
 from lieid_casadi.fleet.changes import NightSeries
+from lieid_casadi.fleet.night_result import Finding
 
 FIRST = date(2026, 1, 1)
 TAILS = 8  # degrees of freedom of the scatter's t distribution
@@ -32,7 +32,7 @@ def drawn_arm(random, serial, nights, slopes) -> ArmHistory:
     warmth = CYCLE_SIZE * np.sin(2.0 * np.pi * days / CYCLE + phase)
     warmth += DAILY * random.normal(size=nights)
     recorded = 25.0 + warmth if random.random() < RECORDED else np.full(nights, np.nan)
-    found: list[dict[tuple[str, int | None], Found]] = [{} for _ in range(nights)]
+    found: list[dict[tuple[str, int | None], Finding]] = [{} for _ in range(nights)]
     series, units = {}, {}
     for j in range(joints):
         for name, slope in zip(NAMES, slopes[:, j], strict=True):
@@ -44,7 +44,9 @@ def drawn_arm(random, serial, nights, slopes) -> ArmHistory:
             series[quantity] = NightSeries(days, values, scale, recorded, motions)
             units[quantity] = "N·m"
             for k in np.flatnonzero(random.random(nights) < FINDINGS):
-                found[k][quantity.effect, j + 1] = Found(0.1, 0.01, "N·m", 0.02, "found")
+                found[k][quantity.effect, j + 1] = Finding(
+                    quantity.effect, j + 1, 0.1, 0.01, "N·m", 0.02, "found"
+                )
         error = LEAST_ERROR_SCATTER * 2.0 * random.standard_t(TAILS, nights)
         series[Quantity(ERROR, j + 1)] = NightSeries(
             days, error, np.full(nights, LEAST_ERROR_SCATTER), np.full(nights, np.nan), motions

@@ -12,9 +12,10 @@ from fleet.synthetic_history import write_history
 from lieid_casadi.cli.main import main
 from lieid_casadi.fleet import judging
 from lieid_casadi.fleet.alarms import alarms_after
-from lieid_casadi.fleet.arm_history import FoundEffect, Quantity
+from lieid_casadi.fleet.arm_history import Quantity
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.judging import extreme, judge_night, outliers
+from lieid_casadi.fleet.night_result import Finding
 
 COULOMB = Quantity("coulomb.f_c", 1)
 
@@ -93,7 +94,7 @@ def test_the_diagnosis_of_the_joint_confirms_a_change_of_the_last_night():
     stepped = grown(arms[0], 30.0, slice(6, None))
     for joint, night in ((1, 6), (None, 6), (2, 7)):
         found = list(stepped.found)
-        found[6] = {("coulomb", joint): FoundEffect(0.3, 0.01, "N·m", 0.1, "found")}
+        found[6] = {("coulomb", joint): Finding("coulomb", joint, 0.3, 0.01, "N·m", 0.1, "found")}
         (alarm,) = raised([replace(stepped, found=tuple(found)), *arms[1:]])
         assert alarm.raised == arms[0].dates[night]
 

@@ -176,6 +176,7 @@ def test_a_history_may_be_read_and_copied_while_a_run_has_it_open(tmp_path, caps
     code = (
         "import sys\nfrom lieid_casadi.fleet.history import History\n"
         "with History(sys.argv[1]) as h:\n"
+        "    h.write_snapshot()\n"  # as after each batch of a run
         "    h.insert('calls', [(None, 1.0, '', '{}', 0)])\n    print('open', flush=True)\n"
         "    input()\n"
     )

@@ -1,6 +1,5 @@
 """Recordings of a fleet from stores: local files, S3, other arms, known payloads."""
 
-import sys
 from datetime import UTC, date, datetime
 
 import numpy as np
@@ -119,12 +118,6 @@ def test_a_date_that_is_not_found():
             night_of(RecordingFile(path, "", None), re.compile(r"A1/(?P<date>\d+)"))
     with pytest.raises(FleetError, match="no time of change"):
         night_of(RecordingFile("x", "", None), None)
-
-
-def test_an_extra_that_is_missing_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "fsspec", None)
-    with pytest.raises(Exception, match=r"pip install 'lieid-casadi\[fleet\]'"):
-        list_recordings("x")
 
 
 def test_a_recording_of_another_arm_is_refused(tmp_path):

@@ -91,11 +91,6 @@ def test_the_dependence_on_temperature_is_not_a_change():
     assert temperature_prior([series(np.arange(9))]) is None
 
 
-def test_fewer_than_four_nights_are_not_judged():
-    assert strongest_change(series([0.0, 0.0, 100.0]), PRIOR) is None
-    assert strongest_change(series([0.0, 0.0, 0.0, 100.0]), PRIOR).p_value < 1e-4
-
-
 def test_only_rises_of_an_error_count():
     falling = series([5.0, 5.1, 4.9, 5.0, -20.0, -20.0, -20.0])
     assert strongest_change(falling, PRIOR).p_value < 1e-6
