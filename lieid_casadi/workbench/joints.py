@@ -83,6 +83,7 @@ class JointsView(View):
         assert opened is not None
         # The noise floor of the last model stays, in grey, until that of this one is computed.
         preliminary = "preliminary" if evaluation is None or not evaluation.complete else ""
+        inexact = "inexact" if evaluation is not None and not evaluation.exact else ""
         selected = "selected" if workbench.session.joint == j else ""
         error, number = UNKNOWN, j + 1
         noise = multiple = fit = other = drift = ""
@@ -99,7 +100,7 @@ class JointsView(View):
             if workbench.compared is not None:
                 other = _difference(workbench.compared.errors.shown[j], errors.shown[j])
         return part(
-            f"joint-row {state or preliminary} {selected}",
+            f"joint-row {state or preliminary} {inexact} {selected}",
             part("swatch", style=f"background: {colour}"),
             cut_part("joint-name", f"{number} {opened.joint_names[j]}"),
             cut_part("number compared", other, id=f"compared-{number}") if other else "",

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
@@ -418,8 +418,7 @@ def load_session(name: str) -> Session | None:
     if not is_name(name) or not file.is_file():
         return None
     try:
-        stored = msgspec.json.decode(file.read_bytes())
-        content = msgspec.convert(_migrated(stored), SessionContent)
+        content = msgspec.json.decode(file.read_bytes(), type=SessionContent)
     except (msgspec.MsgspecError, ValueError, OSError) as error:
         raise SessionFileError(f"{file}: not a saved session ({error})") from error
     if content.schema != SCHEMA:
@@ -428,26 +427,6 @@ def load_session(name: str) -> Session | None:
     if not 0 <= session.position < max(len(session.history), 1):
         raise SessionFileError(f"{file}: step {session.position} is not in its history")
     return session
-
-
-def _migrated(content: Any) -> Any:
-    """Return the content of a file of schema 1 as that of schema 2, in which all options are one.
-
-    Other content is returned as it is.
-    """
-    if not isinstance(content, dict) or content.get("schema") != 1:
-        return content
-    with contextlib.suppress(KeyError, TypeError, AttributeError):  # damaged: an error of the type
-        inputs = content["session"]["inputs"]
-        options = [[name, [text]] for name, text in inputs.pop("options", [])]
-        for name in ("torque_constants", "units", "tip", "lock"):
-            stated = inputs.pop(name, None)
-            if stated:
-                values = [stated] if isinstance(stated, str) else stated
-                options.append([name.replace("_", "-"), values])
-        inputs["options"] = options
-        content["schema"] = SCHEMA
-    return content
 
 
 def saved_sessions() -> list[tuple[str, float, Session]]:

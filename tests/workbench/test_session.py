@@ -1,7 +1,6 @@
 """The state of the page: transitions, what is saved, and the commands that reproduce it."""
 
 import ast
-import json
 import shlex
 from dataclasses import replace
 
@@ -113,19 +112,6 @@ def test_a_saved_session_is_read_back(folder):
     assert load_session(NAME) == session
     assert [content for _, _, content in saved_sessions()] == [session]
     assert load_session("f" * 16) is None
-
-
-def test_a_session_of_an_earlier_version_keeps_its_options(folder):
-    inputs = {
-        "robot": "arm.urdf", "torque_constants": "1,2", "units": "deg", "tip": "", "lock": ["a"],
-        "recordings": [{"path": "a.csv", "role": "train"}], "options": [["stiffness", "12"]],
-    }  # fmt: skip
-    history = [{"title": "first model", "effects": ["coulomb:1"]}]
-    content = {"schema": 1, "session": {"inputs": inputs, "history": history}}
-    (folder / f"{NAME}.json").write_text(json.dumps(content))
-    words = load_session(NAME).inputs.words
-    expected = ["--stiffness", "12", "--torque-constants", "1,2", "--units", "deg", "--lock", "a"]
-    assert words == expected
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"schema": 1, "session": 3}', b"\xff"])
