@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.premises.correction import correction_of, gravity_of, shifted
+from lieid_casadi.premises.correction import Correction, correction_of, gravity_of, shifted
 from lieid_casadi.premises.plain_fit import samples_of
 from lieid_casadi.premises.screen import Screen
 from lieid_casadi.premises.timing import with_measured_velocity
@@ -37,11 +37,9 @@ def residual(robot, run, joint, measured=False):
     """Return times and residual of the free fit of one joint, N·m."""
     samples = samples_of([run])
     screen = Screen(robot, with_measured_velocity(samples) if measured else samples, most=2400)
-    columns = screen.rigid.columns(np.asarray(robot.gravity, dtype=float))[joint]
-    parameters, k = screen.base.free.parameters, len(columns)
-    own = screen.thin.own
-    start = k + joint * own.shape[1]
-    fitted = parameters[:k] @ columns + parameters[start : start + own.shape[1]] @ own[joint]
+    columns = screen.columns(Correction.none(robot.n))[joint]
+    fit = screen.base.free
+    fitted = fit.base @ columns + fit.own[joint] @ screen.thin.own[joint]
     return screen.thin.t, screen.thin.tau[:, joint] - fitted
 
 

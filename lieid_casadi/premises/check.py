@@ -118,8 +118,7 @@ def check(
         state = state.corrected(found[1])
     findings += with_all_remedies(corrected, arm.n)
     findings.sort(key=lambda f: (not f.certain, 1.0 if f.ratio is None else f.ratio))
-    if not any(f.certain and f.ratio is not None for f in findings):
-        findings = [*_mismatch(state), *findings]
+    findings = [*_mismatch(state), *findings]  # corrections that leave the arm unexplained are none
     if torque_signal.from_model(state.confirmed):
         findings.append(FROM_MODEL)
     findings += match.same_motions(given, tests)
@@ -212,9 +211,7 @@ def _strongest(state: _State, report: Progress, depth: int) -> tuple[Finding, Co
     tests = list(_alternatives(screen))
     for k, (name, make) in enumerate(tests):
         report(name, (0.1 + 0.85 * (depth + k / len(tests)) / DEPTH))
-        found = list(make)
-        scores = screen.scores([a.correction for a in found])
-        scored += [(score + a.cost, a) for score, a in zip(scores, found, strict=True)]
+        scored += [(screen.score(a.correction) + a.cost, a) for a in make]
     scored.sort(key=lambda pair: pair[0])
     for score, alternative in scored[:CONFIRMATIONS]:
         if score > WORTH_CONFIRMING:
@@ -249,9 +246,9 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
         ratios = np.maximum(ratios, ratios * after.scale / before.scale)
     clear = score <= LEAST_SCORE
     shown_free = (ratios[0] < SHOWS) & (before.relative[0] > LEAST_BEFORE)
-    shown_stated = (match.unexplained(before) or 0.0) > LEAST_UNEXPLAINED and bool(
-        np.any(ratios[1:] < SHOWS_STATED)
-    )
+    unlike = (match.unexplained(before) or 0.0) > LEAST_UNEXPLAINED
+    explained = after.relative[-1] < WORSE * after.relative[0]  # as by free inertias: no tool does
+    shown_stated = bool(np.any((ratios[1:] < SHOWS_STATED) & (unlike | explained)))
     if not clear or not (shown_free.any() or shown_stated):
         # a sign has two values only: less suffices for a doubt
         sign = alternative.discrete and score <= LEAST_DISCRETE and ratios.min() < SHOWS_DISCRETE
@@ -377,7 +374,7 @@ def _velocity(state: _State) -> list[Finding]:
 
 
 def _mismatch(state: _State) -> list[Finding]:
-    """Return that the recording is of another arm, if nothing explains its torque."""
+    """Return that the recording is of another arm, if no correction so far explains its torque."""
     errors = state.confirmed.base
     found = match.mismatch(errors)
     if found is None:
@@ -391,8 +388,8 @@ def _mismatch(state: _State) -> list[Finding]:
             _most(-before / errors.scale),
             {},
             f"This is probably a recording of another arm: the stated {basis} leave "
-            f"{100.0 * part:.0f} % of the torque's rigid part unexplained, and no correction of "
-            "order, sign, zero, unit or mounting lowers it.",
+            f"{100.0 * part:.0f} % of the torque's rigid part unexplained, whatever order, sign, "
+            "zero, unit or mounting is assumed.",
             "use the description of the arm that was recorded",
             certain=certain,
             error_before=_rounded(before),

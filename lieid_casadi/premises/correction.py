@@ -63,6 +63,11 @@ class Correction:
         return same and not self.zero.any() and self.time == 1.0
 
     @cached_property
+    def torque_only(self) -> bool:
+        """Whether only torques change, if anything does."""
+        return self.positions_stay and self.gravity is None
+
+    @cached_property
     def signals_stay(self) -> bool:
         """Whether velocities and torques stay as they are: another zero, or gravity."""
         n = len(self.zero)
@@ -83,29 +88,33 @@ class Correction:
 
     def of_samples(self, s: Samples) -> Samples:
         """Return corrected samples."""
-        f = self.time
-        touched = (self.position != 0.0).astype(float)
+        q, dq, ddq = self.of_motion(s)
         return replace(
             s,
-            t=s.t * f,
-            q=s.q @ self.position.T + self.zero,
-            dq=s.dq @ self.position.T / f,
-            ddq=s.ddq @ self.position.T / f**2,
+            t=s.t * self.time,
+            q=q,
+            dq=dq,
+            ddq=ddq,
             measured=s.measured @ self.position.T,
-            tau=self._earlier(s) @ self.torque_matrix.T,
-            moving=np.asarray(s.moving @ touched.T > 0.5),
-            window=s.window * f,
+            tau=self.of_torque(s),
+            moving=np.asarray(s.moving @ (self.position != 0.0).T.astype(float) > 0.5),
+            window=s.window * self.time,
         )
 
-    def _earlier(self, s: Samples) -> Array:
-        """Return the torque that was recorded later by the delay."""
-        if not self.late:
-            return s.tau
-        late, tau = self.late, np.empty_like(s.tau)
-        for stretch in np.unique(s.segment):
-            at = np.flatnonzero(s.segment == stretch)
-            tau[at] = shifted(s.t[at], s.tau[at], late)
-        return tau
+    def of_motion(self, s: Samples) -> tuple[Array, Array, Array]:
+        """Return corrected positions, velocities and accelerations (N, n)."""
+        turned, f = self.position.T, self.time
+        return s.q @ turned + self.zero, s.dq @ turned / f, s.ddq @ turned / f**2
+
+    def of_torque(self, s: Samples) -> Array:
+        """Return corrected torques (N, n)."""
+        tau = s.tau
+        if self.late:
+            tau = np.empty_like(tau)
+            for stretch in np.unique(s.segment):
+                at = np.flatnonzero(s.segment == stretch)
+                tau[at] = shifted(s.t[at], s.tau[at], self.late)
+        return np.asarray(tau @ self.torque_matrix.T)
 
     def of_recording(self, recording: Recording) -> Recording:
         """Return a corrected recording."""

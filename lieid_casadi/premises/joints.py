@@ -69,12 +69,12 @@ def _best_order(
     """
     identity = tuple(range(screen.n))
     pairs = list(combinations(range(screen.n), 2))
-    tried = dict(zip(starts, screen.scores([made(p) for p in starts]), strict=True))
+    tried = {p: screen.score(made(p)) for p in starts}
     tried[identity] = 0.0
     best = min(tried, key=lambda p: tried[p])
     for _ in range(screen.n):
         near = [_exchanged(best, i, j) for i, j in pairs]
-        tried |= dict(zip(near, screen.scores([made(p) for p in near]), strict=True))
+        tried |= {p: screen.score(made(p)) for p in near}
         step = min(near, key=lambda p: tried[p])
         if tried[step] > tried[best] - ALIKE:
             break
@@ -138,8 +138,7 @@ def zeros(screen: Screen) -> Iterator[Alternative]:
     n = screen.n
     turning = [j for j, joint in enumerate(screen.robot.joints) if joint.revolute]
     angles = [-NEAR_ZERO, NEAR_ZERO, *(k * ZERO_STEP for k in (-2, -1, 1, 2, 3))]
-    corrections = [zero_of(n, j, x) for j in turning for x in angles]
-    scores = np.reshape(screen.scores(corrections), (len(turning), len(angles)))
+    scores = np.array([[screen.score(zero_of(n, j, x)) for x in angles] for j in turning])
     best = sorted(
         (float(own.min()), j, k) for k, (j, own) in enumerate(zip(turning, scores, strict=True))
     )

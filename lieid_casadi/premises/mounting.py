@@ -94,7 +94,6 @@ def _words(rpy: tuple[float, float, float], turn: float) -> str:
 
 def not_checkable(screen: Screen) -> str | None:
     """Return why the mounting is not identifiable from this recording, or None."""
-    carried = np.abs(screen.rigid.columns(screen.gravity) - screen.rigid.motion).max()
-    if carried < 1e-6:
+    if np.abs(np.tensordot(screen.gravity, screen.rigid[1:], axes=1)).max() < 1e-6:
         return "no joint of this arm carries gravity as it is mounted"
     return None

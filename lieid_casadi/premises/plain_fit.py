@@ -1,7 +1,8 @@
 """The plain fit that tests premises: rigid body, rotor inertia, Coulomb, viscous friction, offset.
 
 It compares hypotheses about a recording, not effects: a few hundred to a few thousand instants,
-and normal equations per joint and per held-out part, from which every error follows.
+and normal equations per joint and per held-out part, from which every error follows. The own
+columns of each joint are eliminated, so that only base parameters are solved for.
 
 Two errors are computed. The *free* one is that of a least-squares fit of all link parameters. The
 *stated* one takes the masses and inertias of the robot's description: per joint one factor from
@@ -30,7 +31,7 @@ Index = NDArray[np.intp]
 PARTS, BLOCK_SECONDS = 4, 1.5
 #: Own columns of a joint: rotor inertia, Coulomb, viscous friction, offset; and friction of the
 #: last two joints, which often share a gear, on the sum and difference of their motions.
-OWN, FRICTION = 7, [1, 2, 4, 5, 6]
+OWN, VISCOUS, FRICTION = 7, 2, [1, 2, 4, 5, 6]
 #: Ridge on columns of unit size: directions that the motion does not excite get no weight.
 RIDGE = 1e-6
 #: Least RMS error that a joint is weighted by, as part of its torque.
@@ -97,25 +98,6 @@ class Samples:
         used = zip(self.tau.T, self.used.T, strict=True)
         return np.maximum([np.std(tau[at]) for tau, at in used], 1e-9)
 
-    @cached_property
-    def own_power(self) -> Array:
-        """Mean power (n, F) of the joint's own friction columns, relative to that of its torque."""
-        used = self.dq.T * self.used.T
-        size = np.mean(np.abs(self.tau.T * used), axis=1) + 1e-12
-        power = np.einsum("jkt,jt->jk", self.own[:, FRICTION], used) / len(self.t)
-        return np.asarray(power / size[:, None])
-
-    @cached_property
-    def without_own(self) -> list[tuple[Array, Array, Array]]:
-        """Per joint: own columns (OWN, M), what projects on them, the torque without them."""
-        made = []
-        for j, columns in enumerate(self.own):
-            at = self.used[:, j]
-            unit = _unit(columns[:, at])
-            inverse = np.asarray(np.linalg.solve(unit @ unit.T + RIDGE * np.eye(OWN), unit))
-            made.append((unit, inverse, _rest(self.tau[at, j], unit, inverse)))
-        return made
-
     def thinned(self, most: int) -> Samples:
         """Return at most so many instants, evenly spaced."""
         step = -(-len(self.t) // most)
@@ -181,6 +163,46 @@ def _low_passed_sign(dq: Array, ddq: Array, window: float) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class Design:
+    """Columns of the free fit, and their products per joint and held-out part.
+
+    A row of ``pieces`` holds joint, part, the numbers of the columns that act, the instants that
+    are used, and the columns (c, M). ``matrix`` (n, P, p, p) has the products of the base
+    parameters' columns and, last, the joint's own ones.
+    """
+
+    pieces: tuple[tuple[int, int, Index, Index, Array], ...]
+    matrix: Array
+
+    def equations(self, tau: Array) -> Equations:
+        """Return the normal equations for torques (N, n)."""
+        vector = np.zeros(self.matrix.shape[:3])
+        square, count = np.zeros((2, *self.matrix.shape[:2]))
+        for j, part, acting, at, x in self.pieces:
+            y = tau[at, j]
+            vector[j, part, acting] = x @ y
+            square[j, part], count[j, part] = y @ y, len(y)
+        return Equations(self.matrix, vector, square, count)
+
+
+def design(columns: Array, s: Samples, *, parts: bool) -> Design:
+    """Return the design of rigid columns (n, k, N) and the joints' own columns."""
+    n, k = columns.shape[:2]
+    count = PARTS if parts else 1
+    matrix = np.zeros((n, count, k + OWN, k + OWN))
+    pieces = []
+    for j in range(n):
+        acting = np.flatnonzero([*np.any(columns[j] != 0.0, axis=1), *OWN * [True]])
+        stacked = np.concatenate([columns[j, acting[:-OWN]], s.own[j]])
+        for part in range(count):
+            at = np.flatnonzero(s.used[:, j] & (s.part == part) if parts else s.used[:, j])
+            x = stacked[:, at]
+            matrix[j, part][np.ix_(acting, acting)] = x @ x.T
+            pieces.append((j, part, acting, at, x))
+    return Design(tuple(pieces), matrix)
+
+
+@dataclass(frozen=True, eq=False)
 class Equations:
     """Normal equations of the free fit, one per joint and part.
 
@@ -193,73 +215,120 @@ class Equations:
     square: Array
     count: Array
 
+    @cached_property
+    def whole(self) -> _Eliminated:
+        """All parts together (n, …)."""
+        return _Eliminated.of(self.matrix.sum(axis=1), self.vector.sum(axis=1))
 
-def equations(columns: Array, s: Samples, *, parts: bool) -> Equations:
-    """Return the normal equations of rigid columns (n, k, N) and the joints' own columns."""
-    n, k = columns.shape[:2]
-    p, count = k + OWN * n, PARTS if parts else 1
-    matrix, vector = np.zeros((n, count, p, p)), np.zeros((n, count, p))
-    square, rows = np.zeros((n, count)), np.zeros((n, count))
-    for j in range(n):
-        acting = np.flatnonzero(np.any(columns[j] != 0.0, axis=1))
-        index = np.concatenate([acting, np.arange(k + OWN * j, k + OWN * (j + 1))])
-        stacked = np.concatenate([columns[j, acting], s.own[j]])
-        for part in range(count):
-            at = s.used[:, j] & (s.part == part) if parts else s.used[:, j]
-            x, y = stacked[:, at], s.tau[at, j]
-            matrix[j, part][np.ix_(index, index)] = x @ x.T
-            vector[j, part, index] = x @ y
-            square[j, part], rows[j, part] = y @ y, len(y)
-    return Equations(matrix, vector, square, rows)
+    @cached_property
+    def instants(self) -> Array:
+        """Number of instants (n,) of each joint, at least one."""
+        return np.asarray(np.maximum(self.count.sum(axis=1), 1.0))
+
+    def own_power(self, s: Samples) -> Array:
+        """Return the power (n, F) of the own friction columns, relative to that of the torque."""
+        size = np.mean(np.abs(s.tau * s.dq * s.used), axis=0) + 1e-12
+        k = self.matrix.shape[-1] - OWN
+        products = self.matrix.sum(axis=1)[:, k + np.array(FRICTION), k + VISCOUS]
+        return np.asarray(products / (size * len(s.t))[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class _Eliminated:
+    """Normal equations (n, …) after elimination of the joints' own columns.
+
+    With base parameters β the own ones are ``start − lift β``.
+    """
+
+    matrix: Array
+    vector: Array
+    size: Array  # squares of the columns before the elimination
+    lift: Array
+    start: Array
+
+    @classmethod
+    def of(cls, matrix: Array, vector: Array) -> _Eliminated:
+        """Eliminate the last columns of matrices (n, …, p, p)."""
+        k = matrix.shape[-1] - OWN
+        own, both = matrix[..., k:, k:], matrix[..., k:, :k]
+        scale = _inverse_size(np.diagonal(own, axis1=-2, axis2=-1))
+        outer = scale[..., :, None] * scale[..., None, :]
+        unit = own * outer
+        inverse = np.linalg.inv(unit + RIDGE * np.eye(OWN))
+        # the products of exact residuals of a fit with a ridge, not the ridge's minimum
+        inverse = inverse @ (2.0 * np.eye(OWN) - unit @ inverse) * outer
+        lift = inverse @ both
+        start = np.einsum("...ab,...b->...a", inverse, vector[..., k:])
+        return cls(
+            matrix[..., :k, :k] - np.swapaxes(both, -1, -2) @ lift,
+            vector[..., :k] - np.einsum("...ba,...b->...a", both, start),
+            np.diagonal(matrix, axis1=-2, axis2=-1)[..., :k],
+            lift,
+            start,
+        )
+
+    def solved(self, weights: Array) -> Array:
+        """Return base and own parameters (n, …, p) of the fit with weights (n,) of the joints."""
+        a, b, size = (
+            np.tensordot(weights, x, axes=1) for x in (self.matrix, self.vector, self.size)
+        )
+        scale = _inverse_size(size)
+        left = a * scale[..., :, None] * scale[..., None, :]
+        index = np.arange(scale.shape[-1])
+        left[..., index, index] += np.where(scale == 0.0, 1.0, RIDGE)
+        base = np.linalg.solve(left, (b * scale)[..., None])[..., 0] * scale
+        own = self.start - np.einsum("j...ak,...k->j...a", self.lift, base)
+        return np.concatenate([np.broadcast_to(base, (len(own), *base.shape)), own], axis=-1)
+
+
+def _inverse_size(squares: Array) -> Array:
+    """Return one over the size of columns; 0 for those without a size."""
+    size = np.sqrt(np.maximum(squares, 0.0))
+    return np.divide(1.0, size, out=np.zeros_like(size), where=size > 1e-9)
 
 
 @dataclass(frozen=True, eq=False)
 class FreeFit:
-    """Parameters (p,) and RMS errors per joint (n,), N·m: ``error`` of the fit, ``held_out``.
+    """Least-squares fit of all base parameters.
 
-    ``without`` (P, p) are the parameters of the fits without one part each.
+    ``base`` (k,), ``own`` (n, OWN) the joints' own parameters; RMS errors per joint (n,), N·m:
+    ``error`` of the fit, ``held_out``. ``own_without`` (P, n, OWN) are those of the fits without
+    one part each.
     """
 
-    parameters: Array
+    base: Array
+    own: Array
     error: Array
     held_out: Array
-    without: Array
+    own_without: Array
 
 
 def free_fit(given: Equations) -> FreeFit:
     """Return the least-squares fit with joints weighted by their own errors."""
-    count = np.maximum(given.count.sum(axis=1), 1.0)
-    total = np.maximum(given.square.sum(axis=1) / count, 1e-12)
+    total = np.maximum(given.square.sum(axis=1) / given.instants, 1e-12)
     weights = 1.0 / total
     for _ in range(2):
-        a = np.einsum("j,jkab->kab", weights, given.matrix)
-        b = np.einsum("j,jka->ka", weights, given.vector)
-        fitted = _solved(a.sum(axis=0)[None], b.sum(axis=0)[None])
-        error = np.sqrt(_squares(given, np.repeat(fitted, len(a), axis=0)) / count)
+        fitted = given.whole.solved(weights)
+        error = _error(given, fitted[:, None])
         weights = 1.0 / np.maximum(error**2, LEAST_ERROR**2 * total)
-    if len(a) == 1:
-        return FreeFit(fitted[0], error, error, fitted)
-    a = np.einsum("j,jkab->kab", weights, given.matrix)
-    b = np.einsum("j,jka->ka", weights, given.vector)
-    without = _solved(a.sum(0) - a, b.sum(0) - b)
-    return FreeFit(fitted[0], error, np.sqrt(_squares(given, without) / count), without)
+    k = fitted.shape[1] - OWN
+    if given.matrix.shape[1] == 1:
+        return FreeFit(fitted[0, :k], fitted[:, k:], error, error, fitted[None, :, k:])
+    matrix, vector = given.matrix, given.vector
+    others = _Eliminated.of(
+        matrix.sum(axis=1, keepdims=True) - matrix, vector.sum(axis=1, keepdims=True) - vector
+    )
+    without = others.solved(weights)
+    own_without = without[..., k:].transpose(1, 0, 2)
+    return FreeFit(fitted[0, :k], fitted[:, k:], error, _error(given, without), own_without)
 
 
-def _solved(a: Array, b: Array) -> Array:
-    """Return the ridge solutions (m, p) of m systems."""
-    size = np.sqrt(np.maximum(np.diagonal(a, axis1=1, axis2=2), 0.0).max(axis=0))
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 1e-9)
-    left = a * np.outer(scale, scale)
-    left += np.diag(np.where(scale == 0.0, 1.0, RIDGE))
-    return np.asarray(np.linalg.solve(left, (b * scale)[..., None])[..., 0] * scale)
-
-
-def _squares(given: Equations, parameters: Array) -> Array:
-    """Return sums of squared errors (n,) for the parameters of each part (P, p)."""
-    cross = np.einsum("jka,ka->j", given.vector, parameters)
-    product = np.einsum("jkab,kb->jka", given.matrix, parameters)
-    quadratic = np.einsum("jka,ka->j", product, parameters)
-    return np.asarray(np.maximum(given.square.sum(axis=1) - 2.0 * cross + quadratic, 0.0))
+def _error(given: Equations, parameters: Array) -> Array:
+    """Return RMS errors (n,) for parameters (n, P or 1, p) of each part."""
+    every = np.broadcast_to(parameters, given.vector.shape)
+    product = np.einsum("jkab,jkb->jka", given.matrix, every)
+    squares = given.square + np.sum((product - 2.0 * given.vector) * parameters, axis=2)
+    return np.asarray(np.sqrt(np.maximum(squares.sum(axis=1), 0.0) / given.instants))
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,29 +346,16 @@ class StatedFit:
     share: Array
 
 
-def stated_fit(columns: Array, parameters: Array, s: Samples) -> StatedFit:
-    """Return the fit with rigid columns (n, 10 n, N) and stated link parameters (10 n,)."""
-    torque = parameters @ columns
-    result = []
-    for j, (unit, inverse, y) in enumerate(s.without_own):
-        stated = torque[j, s.used[:, j]]
-        x = _rest(stated, unit, inverse)
-        size = float(x @ x)
-        known = size > 1e-12 * float(stated @ stated) + 1e-18
-        gain = float(x @ y) / size if known else np.nan
-        rest = y - (min(max(gain, LEAST_GAIN), LARGEST_GAIN) if known else 1.0) * x
-        squares = np.array([rest @ rest, y @ y, size]) / max(len(y), 1)
-        result.append([*np.sqrt(squares), gain])
-    error, alone, share, gains = np.array(result).T
-    return StatedFit(error, alone, gains, share)
-
-
-def _rest(x: Array, unit: Array, inverse: Array) -> Array:
-    """Return what rows do not explain of a signal (M,)."""
-    return np.asarray(x - (unit @ x) @ inverse)
-
-
-def _unit(rows: Array) -> Array:
-    """Return rows (k, N) of unit size; those without a size as they are."""
-    size = np.sqrt(np.einsum("kn,kn->k", rows, rows))[:, None]
-    return rows / np.where(size > 0.0, size, 1.0)
+def stated_fit(given: Equations, parameters: Array) -> StatedFit:
+    """Return the fit with stated base parameters (k,)."""
+    k = len(parameters)
+    vector, matrix = given.vector.sum(axis=1), given.matrix.sum(axis=1)
+    alone = given.square.sum(axis=1) - np.sum(vector[:, k:] * given.whole.start, axis=1)
+    size = parameters @ given.whole.matrix @ parameters
+    known = size > 1e-10 * (parameters @ matrix[:, :k, :k] @ parameters) + 1e-18
+    along = given.whole.vector @ parameters
+    gain = np.divide(along, size, out=np.full(len(size), np.nan), where=known)
+    bounded = np.where(known, np.clip(gain, LEAST_GAIN, LARGEST_GAIN), 1.0)
+    left = alone - bounded * (2.0 * along - bounded * size)
+    error, own, share = np.sqrt(np.maximum([left, alone, size], 0.0) / given.instants)
+    return StatedFit(error, own, gain, share)

@@ -1,8 +1,8 @@
-"""The regressor of a rigid arm on batches of instants, with gravity as an input.
+"""The regressor of a rigid arm on batches of instants.
 
 The recursion of `lieid_casadi.dynamics.recursion` in NumPy, component first and instant last. It
 tests hypotheses about robot and recording: each needs a few hundred instants of another arm, which
-take milliseconds, where a compiled function would first take seconds of the compiler.
+take a millisecond, where a compiled function would first take seconds of the compiler.
 """
 
 from __future__ import annotations
@@ -10,118 +10,111 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.robot import Robot
 
+Index = NDArray[np.intp]
+
 
 @dataclass(frozen=True, eq=False)
-class Rigid:
-    """Columns of the link parameters at N instants.
+class RigidArm:
+    """The kept link parameters of an arm, and the constants of its joints.
 
-    ``motion`` (n, 10 n, N) is without gravity; ``gravity`` (3, n, 4 n, N) has the columns of m and
-    m·c of every link for unit gravity along x, y and z of the base frame.
+    Per joint: ``poses`` (12, 3) are rotation and position of its link frame in the frame before
+    it, over 1, sin q, 1 − cos q (a prismatic one: 1, q, 0); ``own`` are the numbers of its link's
+    columns, and ``wrenches`` (6 k, 12) force and moment of these, see `WRENCHES`.
     """
 
-    motion: Array
-    gravity: Array
+    robot: Robot
+    kept: Index
+    poses: tuple[Array, ...]
+    own: tuple[Index, ...]
+    wrenches: tuple[Array, ...]
 
-    def columns(self, gravity: Array) -> Array:
-        """Return the regressor (n, 10 n, N) for gravity (3,), m/s²."""
-        n = len(self.motion)
-        whole = self.motion.copy()
-        links = whole.reshape(n, n, 10, -1)[:, :, :4]
-        links += np.tensordot(gravity, self.gravity, axes=1).reshape(n, n, 4, -1)
-        return whole
+    @classmethod
+    def of(cls, robot: Robot, kept: Index) -> RigidArm:
+        """Return the arm with the kept ones of its 10 n link parameters (k,)."""
+        before, poses = np.eye(4), []
+        for joint in robot.joints:
+            twist = np.zeros((4, 4))  # screws have no pitch: they turn (ω·v = 0) or slide (ω = 0)
+            twist[:3, :3], twist[:3, 3] = HAT @ joint.axis[:3], joint.axis[3:]
+            start = np.linalg.solve(before, joint.home)
+            terms = np.stack([start, start @ twist, start @ twist @ twist], axis=-1)
+            poses.append(terms[:3].reshape(12, 3))
+            before = joint.home
+        own = tuple(np.flatnonzero(kept // 10 == i) for i in range(robot.n))
+        wrenches = tuple(WRENCHES[:, kept[at] % 10].reshape(-1, 12) for at in own)
+        return cls(robot, kept, tuple(poses), own, wrenches)
 
+    def columns(self, q: Array, dq: Array, ddq: Array, gravity: Array) -> Array:
+        """Return columns (n, k, N) of the regressor.
 
-def rigid_columns(robot: Robot, q: Array, dq: Array, ddq: Array) -> Rigid:
-    """Return the regressor of the link parameters, gravity apart; q, dq, ddq (N, n)."""
-    n, size = robot.n, len(q)
-    motion, gravity = np.zeros((n, n, 10, size)), np.zeros((3, n, n, 4, size))
-    # in link axes: ω, α and acceleration, unit gravity along x, y, z, then ω and v of each screw
-    carried = np.zeros((6, 3, size))
-    carried[3:] = np.eye(3)[:, :, None]
-    z, v = np.zeros((2, 0, 3, size))
-    before = np.eye(4)
-    for i, joint in enumerate(robot.joints):
-        rotation, position = _relative_pose(before, joint.home, joint.axis, q[:, i])
-        before = joint.home
-        omega, alpha = carried[:2]
-        carried[2] += _cross(alpha, position) + _cross(omega, _cross(omega, position))
-        every = np.concatenate([carried, z, v - _cross(position, z)])
-        every = _times(every, rotation)
-        carried, z, v = every[:6], every[6 : 6 + i], every[6 + i :]
-        axis, shift = joint.axis[:3, None], joint.axis[3:, None]
-        turn, slide = axis * dq[:, i], shift * dq[:, i]
-        carried[1] += _cross(carried[0], turn) + axis * ddq[:, i]
-        carried[2] += _cross(2.0 * carried[0] + turn, slide) + shift * ddq[:, i]
-        carried[0] += turn
-        omega, alpha, acceleration = carried[:3]
-        z = np.concatenate([z, np.broadcast_to(axis, (1, 3, size))])
-        v = np.concatenate([v, np.broadcast_to(shift, (1, 3, size))])
-        gradient = _hat(alpha) + _squared(omega)
-        motion[: i + 1, i, 0] = _times(v, acceleration[:, None])[:, 0]
-        motion[: i + 1, i, 1:4] = _times(v, gradient) + _cross(acceleration, z)
-        motion[: i + 1, i, 4:] = _times(z, _moments(alpha, omega))
-        falling = carried[3:]  # the base accelerates against gravity
-        gravity[:, : i + 1, i, 0] = -_times(v, falling.transpose(1, 0, 2)).transpose(1, 0, 2)
-        gravity[:, : i + 1, i, 1:] = -_cross(falling.transpose(1, 0, 2)[:, :, None], z[None])
-    return Rigid(motion.reshape(n, 10 * n, size), gravity.reshape(3, n, 4 * n, size))
-
-
-def _relative_pose(before: Array, home: Array, axis: Array, q: Array) -> tuple[Array, Array]:
-    """Return rotation (3, 3, N) and position (3, N) of a link frame in the frame before it."""
-    at_zero = np.linalg.solve(before, home)
-    omega, v = axis[:3].astype(float), axis[3:].astype(float)
-    hat = _hat(omega[:, None])[:, :, 0]
-    sin, versin = np.sin(q), 1.0 - np.cos(q)
-    if not omega.any():
-        turned = np.repeat(np.eye(3)[:, :, None], len(q), axis=2)
-        moved = v[:, None] * q
-    else:
-        turned = np.eye(3)[:, :, None] + hat[:, :, None] * sin + (hat @ hat)[:, :, None] * versin
-        moved = (v[:, None] * sin) + (hat @ v)[:, None] * versin  # zero pitch: ω·v = 0
-    rotation = np.einsum("ij,jkn->ikn", at_zero[:3, :3], turned)
-    return rotation, at_zero[:3, 3:] + at_zero[:3, :3] @ moved
+        q, dq, ddq are (N, n), gravity (3,) or (3, N) in the base frame.
+        """
+        n, size = self.robot.n, len(q)
+        made = np.zeros((n, len(self.kept), size))
+        # in link axes: ω, α and acceleration, then v and ω of each screw
+        carried = np.zeros((3, 3, size))
+        carried[2] -= np.reshape(gravity, (3, -1))  # the base accelerates against gravity
+        v, z = np.zeros((2, 0, 3, size))
+        gradient = np.zeros((3, 3, size))  # of the acceleration in a link
+        for i, joint in enumerate(self.robot.joints):
+            x = q[:, i]
+            turns = [np.sin(x), 1.0 - np.cos(x)] if joint.revolute else [x, np.zeros(size)]
+            pose = (self.poses[i] @ [np.ones(size), *turns]).reshape(3, 4, size)
+            rotation, position = pose[:, :3], pose[:, 3]
+            carried[2] += np.einsum("ckn,kn->cn", gradient, position)
+            hat = (HAT.reshape(9, 3) @ position).reshape(3, 3, size)
+            every = _times(np.concatenate([carried, z, v + _times(z, hat)]), rotation)
+            carried, z, v = every[:3], every[3 : 3 + i], every[3 + i :]
+            axis, shift = joint.axis[:3, None], joint.axis[3:, None]
+            turn = axis * dq[:, i]
+            carried[1] += np.cross(carried[0], turn, axis=0) + axis * ddq[:, i]
+            if shift.any():
+                slide = np.cross(2.0 * carried[0] + turn, shift * dq[:, i], axis=0)
+                carried[2] += slide + shift * ddq[:, i]
+            carried[0] += turn
+            z = np.concatenate([z, np.broadcast_to(axis, (1, 3, size))])
+            v = np.concatenate([v, np.broadcast_to(shift, (1, 3, size))])
+            omega, alpha, acceleration = carried
+            state = np.concatenate([acceleration, alpha, omega[SQUARES[0]] * omega[SQUARES[1]]])
+            gradient = (GRADIENT @ state).reshape(3, 3, size)
+            wrenches = (self.wrenches[i] @ state).reshape(6, -1, size)
+            made[: i + 1, self.own[i]] = _times(np.concatenate([v, z], axis=1), wrenches)
+        return made
 
 
 def _times(x: Array, matrix: Array) -> Array:
-    """Return the rows x (a, 3, N) times matrices (3, c, N), instant by instant."""
-    return np.asarray(sum(x[:, k, None] * matrix[k] for k in range(3)))
+    """Return the rows x (a, k, N) times matrices (k, c, N), instant by instant."""
+    return np.asarray(np.einsum("akn,kcn->acn", x, matrix))
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Return a × b for a (3, …, N), whose first axis is that of the components, and b (…, 3, N)."""
-    x, y, z = b[..., 0, :], b[..., 1, :], b[..., 2, :]
-    product = np.empty((*np.broadcast_shapes(a.shape[1:], x.shape)[:-1], *b.shape[-2:]))
-    product[..., 0, :] = a[1] * z - a[2] * y
-    product[..., 1, :] = a[2] * x - a[0] * z
-    product[..., 2, :] = a[0] * y - a[1] * x
-    return product
+def _wrenches(a: Array, alpha: Array, square: Array) -> Array:
+    """Return force and moment (6, 10) of the link parameters.
+
+    ``a`` and ``alpha`` are linear and angular acceleration (3,), ``square`` the products of ω in
+    the order of `SQUARES`.
+    """
+    x, y, z = alpha
+    xx, yy, zz, xy, xz, yz = square
+    gradient = [[-yy - zz, xy - z, xz + y], [xy + z, -xx - zz, yz - x], [xz - y, yz + x, -xx - yy]]
+    moments = [  # I·α + ω × I·ω
+        [x, y - xz, -yz, z + xy, yy - zz, yz],
+        [xz, x + yz, y, zz - xx, z - xy, -xz],
+        [-xy, xx - yy, xy, x - yz, y + xz, z],
+    ]
+    made = np.zeros((6, 10))
+    made[:3, 0], made[:3, 1:4] = a, gradient
+    made[3:, 1:4], made[3:, 4:] = (HAT @ a).T, moments
+    return made
 
 
-def _hat(w: Array) -> Array:
-    zero = np.zeros_like(w[0])
-    return np.array([[zero, -w[2], w[1]], [w[2], zero, -w[0]], [-w[1], w[0], zero]])
-
-
-def _squared(w: Array) -> Array:
-    """Return ω̂² (3, 3, N)."""
-    square = np.einsum("in,jn->ijn", w, w) - np.eye(3)[:, :, None] * np.sum(w * w, axis=0)
-    return np.asarray(square)
-
-
-def _moments(alpha: Array, omega: Array) -> Array:
-    """Return I·α + ω × I·ω (3, 6, N) per element of the inertia: xx, xy, yy, xz, yz, zz."""
-    x, y, z = omega
-    xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
-    a, b, c = alpha
-    zero = np.zeros_like(a)
-    return np.array(
-        [
-            [a, b - xz, -yz, c + xy, yy - zz, yz],
-            [xz, a + yz, b, zz - xx, c - xy, -xz],
-            [-xy, xx - yy, xy, a - yz, b + xz, c + zero],
-        ]
-    )
+#: w ↦ ŵ, as (3, 3, 3).
+HAT = np.cross(np.eye(3)[:, None], np.eye(3)[None]).transpose(2, 1, 0)
+#: Factors of xx, yy, zz, xy, xz, yz.
+SQUARES = np.array([[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+#: Force and moment of the link parameters (6, 10, 12), linear in what `_wrenches` takes.
+WRENCHES = np.stack([_wrenches(*np.split(e, [3, 6])) for e in np.eye(12)], axis=-1)
+GRADIENT = WRENCHES[:3, 1:4].reshape(9, 12)

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
 from lieid_casadi.premises.correction import Correction
 from lieid_casadi.premises.plain_fit import (
     FRICTION,
-    OWN,
+    Design,
     FreeFit,
     Samples,
     StatedFit,
-    equations,
+    design,
     free_fit,
     stated_fit,
 )
-from lieid_casadi.premises.rigid_columns import Rigid, rigid_columns
+from lieid_casadi.premises.rigid_columns import RigidArm
 from lieid_casadi.robot import Robot
 
 #: Least relative error that counts: below it, ratios of errors are rounding.
@@ -29,8 +30,8 @@ LEAST_RELATIVE = 1e-4
 #: Least part of a joint's power that is friction, and of its standard deviation (jackknife), from
 #: which the sign of friction is clear.
 LEAST_POWER, CLEAR = 0.05, 5.0
-#: Hypotheses whose rigid columns are computed at once: a call costs as much as some 300 instants.
-AT_ONCE = 12
+#: Gravity along no axis, m/s²: base parameters for it serve every direction.
+ANY_GRAVITY = np.array([3.0, 5.0, -7.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +106,21 @@ class Screen:
         return self.robot.n
 
     @cached_property
+    def base_parameters(self) -> BaseParameters:
+        """Base parameters for gravity in any direction."""
+        return base_parameters(replace(self.robot, gravity=ANY_GRAVITY, source=None))
+
+    @cached_property
+    def arm(self) -> RigidArm:
+        """The arm's base parameters and geometry."""
+        return RigidArm.of(self.robot, self.base_parameters.kept)
+
+    @cached_property
     def parameters(self) -> Array | None:
-        """Stated link parameters (10 n,), or None without them."""
-        stated = self.robot.has_inertia and self.stated_torque
-        return self.robot.link_parameters if stated else None
+        """Stated base parameters (k,), or None without them."""
+        if not (self.robot.has_inertia and self.stated_torque):
+            return None
+        return np.asarray(self.base_parameters.combination @ self.robot.link_parameters)
 
     @cached_property
     def gravity(self) -> Array:
@@ -121,62 +133,58 @@ class Screen:
         return self.samples.thinned(self.most)
 
     @cached_property
-    def rigid(self) -> Rigid:
-        """Rigid columns of the samples as they are."""
-        return rigid_columns(self.robot, self.thin.q, self.thin.dq, self.thin.ddq)
+    def rigid(self) -> Array:
+        """Rigid columns (4, n, k, N) without gravity, and of unit gravity along x, y and z."""
+        s, still = self.thin, np.zeros((3 * len(self.thin.t), self.n))
+        motion = (np.tile(s.q, (4, 1)), np.vstack([s.dq, still]), np.vstack([s.ddq, still]))
+        gravity = np.repeat(np.eye(4)[1:], len(s.t), axis=1)
+        made = self.arm.columns(*motion, gravity)
+        return np.moveaxis(made.reshape(*made.shape[:2], 4, -1), 2, 0)
+
+    def columns(self, correction: Correction) -> Array:
+        """Return rigid columns (n, k, N) under a correction."""
+        gravity = self.gravity if correction.gravity is None else correction.gravity
+        if correction.positions_stay:
+            return np.asarray(self.rigid[0] + np.tensordot(gravity, self.rigid[1:], axes=1))
+        motion = correction.of_motion(self.thin)
+        return self.arm.columns(*motion, gravity)
+
+    @cached_property
+    def design(self) -> Design:
+        """Columns of the samples as they are, which serve all hypotheses on the torque alone."""
+        return design(self.columns(Correction.none(self.n)), self.thin, parts=self.parts)
 
     @cached_property
     def base(self) -> Errors:
         """Errors of the hypothesis that nothing is wrong."""
         return self.errors(Correction.none(self.n))
 
-    def errors(self, correction: Correction, rigid: Rigid | None = None) -> Errors:
-        """Return the errors under a correction; the rigid columns may be given."""
-        if correction.late:  # torque is shifted before instants are left out
-            s = correction.of_samples(self.samples).thinned(self.most)
+    def errors(self, correction: Correction) -> Errors:
+        """Return the errors under a correction."""
+        if correction.torque_only:
+            s, made = replace(self.thin, tau=self._torque(correction)), self.design
         else:
             s = self.thin if correction.signals_stay else correction.of_samples(self.thin)
-        if rigid is None:
-            stay = correction.positions_stay
-            rigid = self.rigid if stay else rigid_columns(self.robot, *self._motion(correction))
-        gravity = self.gravity if correction.gravity is None else correction.gravity
-        columns = rigid.columns(gravity)
-        stated = None
-        if self.parameters is not None:
-            stated = stated_fit(columns, self.parameters, s)
-        fitted = free_fit(equations(columns, s, parts=self.parts))
-        own = fitted.without[:, 10 * self.n :].reshape(-1, self.n, OWN)[:, :, FRICTION]
-        friction = np.einsum("pjk,jk->pj", own, s.own_power)
+            made = design(self.columns(correction), s, parts=self.parts)
+        given = made.equations(s.tau)
+        stated = None if self.parameters is None else stated_fit(given, self.parameters)
+        fitted = free_fit(given)
+        own = fitted.own_without[:, :, FRICTION]
+        friction = np.einsum("pjk,jk->pj", own, given.own_power(s))
         return Errors(fitted, stated, s.spread, friction)
 
-    def _motion(self, correction: Correction) -> tuple[Array, Array, Array]:
-        """Return corrected positions, velocities and accelerations."""
-        s = correction.of_samples(self.thin)
-        return s.q, s.dq, s.ddq
+    def _torque(self, correction: Correction) -> Array:
+        """Return corrected torques, which are shifted before instants are left out."""
+        if not correction.late:
+            return correction.of_torque(self.thin)
+        s = self.samples
+        return replace(s, tau=correction.of_torque(s)).thinned(self.most).tau
 
     def score(self, correction: Correction) -> float:
         """Return the score of a correction: negative where errors fall."""
         if correction.key not in self._scores:
-            self.scores([correction])
+            self._scores[correction.key] = self.errors(correction).score(self.base)
         return self._scores[correction.key]
-
-    def scores(self, corrections: Sequence[Correction]) -> list[float]:
-        """Return the scores of corrections, whose rigid columns are computed at once."""
-        new = list({c.key: c for c in corrections if c.key not in self._scores}.values())
-        moving = [c for c in new if not c.positions_stay and not c.late]
-        for first in range(0, len(moving), AT_ONCE):
-            some = moving[first : first + AT_ONCE]
-            motions = zip(*(self._motion(c) for c in some), strict=True)
-            columns = rigid_columns(self.robot, *(np.concatenate(x) for x in motions))
-            size = len(self.thin.t)
-            for k, correction in enumerate(some):
-                at = slice(k * size, (k + 1) * size)
-                rigid = Rigid(columns.motion[..., at], columns.gravity[..., at])
-                self._scores[correction.key] = self.errors(correction, rigid).score(self.base)
-        for correction in new:
-            if correction.key not in self._scores:
-                self._scores[correction.key] = self.errors(correction).score(self.base)
-        return [self._scores[c.key] for c in corrections]
 
 
 def best_on(function: Callable[[float], float], grid: Array, *, rounds: int = 2) -> float:

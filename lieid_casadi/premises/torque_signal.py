@@ -86,9 +86,7 @@ def units(screen: Screen) -> Iterator[Alternative]:
 def from_model(screen: Screen) -> bool:
     """Whether the torque has neither friction nor noise, as one that a model computes."""
     base, own = screen.base, screen.thin.own
-    start = base.free.parameters.size - own.shape[0] * own.shape[1]
-    values = base.free.parameters[start:].reshape(own.shape[:2])
-    friction = np.std(np.einsum("jk,jkn->jn", values[:, 1:3], own[:, 1:3]), axis=1)
+    friction = np.std(np.einsum("jk,jkn->jn", base.free.own[:, 1:3], own[:, 1:3]), axis=1)
     moves = np.ptp(screen.thin.q, axis=0) > MOVES
     largest = np.maximum(friction, base.free.error)[moves] / base.scale[moves]
     return bool(moves.any() and largest.max() < COMPUTED)

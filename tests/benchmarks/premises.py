@@ -39,7 +39,6 @@ from lieid_casadi.plant import measure
 from lieid_casadi.premises import check, timing
 from lieid_casadi.premises.correction import Correction, shifted
 from lieid_casadi.premises.plain_fit import samples_of
-from lieid_casadi.premises.rigid_columns import rigid_columns
 from lieid_casadi.premises.screen import Screen
 
 UR_RUNS = ("excitation_30s", "excitation_50s", "excitation_14_harmonics", "point_to_point")
@@ -153,10 +152,9 @@ def amperes(robot, recording, random):
 
 def gravity_compensated(robot, recording, random):
     """Take out the gravity of a fitted model, as a controller has it."""
-    fitted = Screen(robot, samples_of([recording]), most=1500).base.free.parameters[: 10 * robot.n]
-    still = np.zeros_like(recording.q)
-    columns = rigid_columns(robot, recording.q, still, still).columns(robot.gravity)
-    gravity = np.einsum("jkn,k->nj", columns, fitted)
+    screen, still = Screen(robot, samples_of([recording]), most=1500), np.zeros_like(recording.q)
+    columns = screen.arm.columns(recording.q, still, still, robot.gravity)
+    gravity = np.einsum("jkn,k->nj", columns, screen.base.free.base)
     return robot, replace(recording, tau=recording.tau - gravity), (
         "torque_gravity_compensated", lambda f: True,
     )  # fmt: skip

@@ -83,6 +83,23 @@ def test_standard_output_is_written_through(work, target):
     assert len(lines) == 401
 
 
+def test_a_new_file_has_the_mode_of_any_new_file_and_a_private_one_that_of_its_owner(tmp_path):
+    old = os.umask(0o027)
+    try:
+        save(tmp_path / "a.json")
+        with atomic_binary(tmp_path / "token", private=True) as file:
+            file.write(b"secret")
+    finally:
+        os.umask(old)
+    modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
+    assert modes == {"a.json": 0o640, "token": 0o600}
+
+
+def test_a_place_that_cannot_be_written_is_named(work, run):
+    for place, words in (("run.csv/fit.json", "not a folder"), ("", "path of an output is empty")):
+        refused(run("identify", "two_link", "run.csv", "-o", place), words)
+
+
 @pytest.mark.parametrize("fault", ["write", "fsync", "replace"])
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch, fault):
     path = tmp_path / "a.json"

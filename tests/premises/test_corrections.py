@@ -1,5 +1,7 @@
 """What corrects a premise: the same for recordings and for samples, composed, and from options."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hidden_effects.arms import load_arm
@@ -14,7 +16,7 @@ from lieid_casadi.premises.correction import (
 )
 from lieid_casadi.premises.findings import Finding
 from lieid_casadi.premises.plain_fit import samples_of
-from lieid_casadi.premises.rigid_columns import rigid_columns
+from lieid_casadi.premises.rigid_columns import RigidArm
 from lieid_casadi.robot.geometry import pose
 
 RANDOM = np.random.default_rng(3)
@@ -36,9 +38,13 @@ def recording(n=3, rows=400):
 @pytest.mark.parametrize("name", ["panda", "rail"])
 def test_columns_are_those_of_the_compiled_regressor(name):
     robot = load_arm(name)
+    moved = pose([0.1, -0.2, 0.3], [0.5, 1.0, -0.7])  # axes beside the origins of link frames
+    joints = tuple(replace(joint, home=joint.home @ moved) for joint in robot.joints)
+    robot = replace(robot, joints=joints, source=None)
     q, dq, ddq = RANDOM.standard_normal((3, 40, robot.n))
     gravity = np.array([1.0, -2.0, 9.0])
-    own = rigid_columns(robot, q, dq, ddq).columns(gravity)
+    every = np.arange(10 * robot.n)
+    own = RigidArm.of(robot, every).columns(q, dq, ddq, gravity)
     turned = lieid.compile(lieid.Robot(robot.name, robot.joints, gravity))
     np.testing.assert_allclose(own.transpose(2, 0, 1), turned.regressor(q, dq, ddq), atol=1e-12)
 
