@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import inputs, motion_limits, output
+from lieid_casadi.cli import motion_limits, output
 from lieid_casadi.cli.excite import INTERRUPTED
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
@@ -25,7 +25,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     @FOLDER
     --size EFFECT=V1[,V2…] repeated  coefficients and shape parameters of an effect;
         default: fitted, or noise level
-    --recordings REC …: input  recordings from which the spectrum of the noise is estimated
     --level P: number = 0.95  confidence level
     --duration S: number = 10  duration of one period, s
     --harmonics N: int = 5  harmonics of each joint
@@ -35,15 +34,16 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --rate HZ: number = 1000  sampling rate of the files, Hz
     --evaluations N: int = 1500  evaluations of the criterion in the search
     --seed N: seed = 0  seed of the search
-    @RECORDING @JSON
+    @JSON
     """
     from lieid_casadi.discrimination import discriminate
+    from lieid_casadi.identification import Fit
 
     sizes = dict(_size(text) for text in args.size)
-    fit, recordings = inputs.fit_and_recordings(args)
+    fit = Fit.load(args.fit)
     with output.progress("discriminate") as report:
         result = discriminate(
-            fit, args.effects, sizes=sizes, recordings=recordings,
+            fit, args.effects, sizes=sizes,
             level=args.level, duration=args.duration, harmonics=args.harmonics,
             start_pose=args.start_pose or None, acceleration=args.acceleration or None,
             margin=args.margin, limits=motion_limits.limits_of(args, fit.model.robot),

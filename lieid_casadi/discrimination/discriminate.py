@@ -23,7 +23,6 @@ from lieid_casadi.excitation.checks import MARGIN, default_limits, verify
 from lieid_casadi.excitation.limits import Limit, motion_range
 from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.identification import Fit
-from lieid_casadi.recording import Recording
 
 TRIED = 12  # random motions from which separability and sizes are determined
 REFINED = 3  # of the best random motions
@@ -35,7 +34,6 @@ def discriminate(
     effects: Sequence[str] | Sequence[Sequence[str]],
     *,
     sizes: Mapping[str, Sequence[float]] | None = None,
-    recordings: Sequence[Recording] = (),
     level: float = 0.95,
     duration: float = 10.0,
     harmonics: int = 5,
@@ -64,8 +62,6 @@ def discriminate(
         Label of an effect → its coefficients, optionally followed by its shape parameters. An
         effect without a stated or fitted size gets the RMS torque of the largest of these, or of
         the noise, in equal parts to its columns.
-    recordings : sequence of Recording
-        Along which the autocorrelation of the residual is measured.
     level : float
         Of the test and its power, 0.5 to 1.
     duration : float
@@ -121,8 +117,8 @@ def discriminate(
 
     The stated time is that at which the likelihood ratio rejects the wrong rival at level
     1 − ``level`` with probability ``level``: noncentral χ² with as many degrees of freedom as the
-    true effect has parameters. Correlated samples count by their effective number, which is at
-    most two per second and Hz of the fit's cut-off frequency.
+    true effect has parameters. Correlated samples count by their effective number, by the noise
+    of the fit: at most two per second and Hz of its cut-off frequency.
     """
     began = time.monotonic()
     _check_options(fit, level, starts, evaluations, rate)
@@ -134,7 +130,7 @@ def discriminate(
         robot, arm, motion_range(robot, acceleration, margin=margin), limits,
         duration=duration, harmonics=harmonics, samples=samples, start_pose=start_pose,
     )  # fmt: skip
-    samples_per_second = independent_rate(fit, recordings)
+    samples_per_second = independent_rate(fit)
     groups = [
         RivalEffects(
             fit, group, sizes or {}, independent_rate=samples_per_second,

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import lfilter
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExcitationError, NoSolution
@@ -31,9 +32,9 @@ from lieid_casadi.excitation.trajectory import (
     period_grid,
 )
 from lieid_casadi.identification import Fit
-from lieid_casadi.recording import Recording, process
 from lieid_casadi.robot import Robot
 
+MEMORY = 500  # samples of the noise
 SAMPLES = 200  # fewest of the criterion over a period, where the number is not given
 COARSE = 4  # points per sample of the criterion, on which limits are checked during the search
 USED = 0.998  # part of each limit that is used
@@ -202,37 +203,15 @@ def random_search(
     return SearchedMotion(best, highest, used)
 
 
-def independent_rate(fit: Fit, recordings: Sequence[Recording]) -> Array:
+def independent_rate(fit: Fit) -> Array:
     """Return the independent samples per second of each joint's residual (n,).
 
-    A residual with the autocorrelations ρ_k at lags of h s has as much information as
-    1/(h·(1 + 2·Σρ_k)) independent samples per second. The sum ends where the correlogram first
-    falls below zero. The result is at most twice the cut-off frequency of the fit's filter.
+    Its samples are at twice the cut-off frequency of the fit's filter. With the autocorrelations
+    ρ_k of the noise, 1 + 2·Σρ_k of them have as much information on slow torques as an independent
+    one; that is (Σh)²/Σh² with the impulse response h of the noise.
     """
     cutoff = fit.processing.cutoff
     assert cutoff is not None
-    rates = np.full(fit.model.n, 2.0 * cutoff)
-    for recording in recordings:
-        fit.check_joints(recording)
-        for segment in process(recording, fit.processing):
-            if segment.tau is None:
-                continue
-            residual = segment.filter(segment.tau) - fit.predict_processed(segment)
-            step = (segment.kept.step or 1) / segment.rate
-            own = [1.0 / (step * correlation_sum(e)) for e in residual.T]
-            rates = np.minimum(rates, own)
-    return rates
-
-
-def correlation_sum(residual: Array) -> float:
-    """Return 1 + 2·Σρ_k of a residual (M,), at least 1."""
-    centred = residual - residual.mean()
-    size = len(centred)
-    spectrum = np.abs(np.fft.rfft(centred, 2 * size)) ** 2
-    covariance = np.fft.irfft(spectrum)[:size]
-    if covariance[0] <= 0.0:
-        return 1.0
-    correlation = covariance / covariance[0]
-    negative = np.flatnonzero(correlation < 0.0)
-    end = int(negative[0]) if len(negative) else size
-    return max(1.0, float(1.0 + 2.0 * correlation[1:end].sum()))
+    responses = [lfilter([1.0], noise.filter, np.eye(1, MEMORY)[0]) for noise in fit.residual_noise]
+    correlated = [max(1.0, float(h.sum() ** 2 / (h @ h))) for h in responses]
+    return 2.0 * cutoff / np.array(correlated)

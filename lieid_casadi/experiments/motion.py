@@ -266,9 +266,8 @@ class MotionDesign:
             try:
                 designs = [
                     discriminate(
-                        fit, chosen, sizes=known, recordings=recordings,
-                        duration=self.seconds / parts, seed=self.seed, starts=STARTS,
-                        evaluations=EVALUATIONS, progress=progress, **self._shared,
+                        fit, chosen, sizes=known, duration=self.seconds / parts, seed=self.seed,
+                        starts=STARTS, evaluations=EVALUATIONS, progress=progress, **self._shared,
                     )
                     for parts in PARTS
                 ]  # fmt: skip

@@ -28,10 +28,10 @@ def paths(tmp_path_factory):
 
 
 def test_writes_the_trajectory_and_prints_its_duration(paths, tmp_path, capsys):
-    fit, train = paths
+    fit, _ = paths
     out, result = tmp_path / "out", tmp_path / "result.json"
     words = ["discriminate", fit, "stribeck:1", "viscous_polynomial:1", "-o", str(out), *QUICK]
-    assert main([*words, "--recordings", train, "--json", str(result)]) == 0
+    assert main([*words, "--json", str(result)]) == 0
     shown = capsys.readouterr()
     content = json.loads(result.read_text())
     assert f"{content['seconds']:.4g} s of this motion" in shown.out

@@ -15,7 +15,7 @@ from robot.random_arms import random_arm
 
 from lieid_casadi import Model, Robot, robots
 from lieid_casadi.dynamics.base_parameters import base_parameters
-from lieid_casadi.dynamics.laurent import Laurent, polynomial, quotient
+from lieid_casadi.dynamics.laurent import Laurent, quotient
 from lieid_casadi.dynamics.symbolic_lengths import symbolic_lengths
 from lieid_casadi.errors import ModelError
 
@@ -134,10 +134,3 @@ def test_polynomials_calculate(values, at):
         np.testing.assert_allclose(value(made), expected, rtol=1e-9, atol=1e-9)
     assert quotient(p * q + x, q) is None
     assert (p - p) == 0.0
-
-
-def test_polynomials_of_expressions():
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    made = polynomial((x + y) ** 2 - x / y - 2 * (x - 3))
-    np.testing.assert_allclose(made.at({"x": 0.7, "y": 0.4}), 1.1**2 - 0.7 / 0.4 + 4.6)
-    assert polynomial((x + y) - x).terms == {(("y", 1),): 1.0}

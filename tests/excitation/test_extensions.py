@@ -101,19 +101,6 @@ def test_values_of_the_symbols(fit):
         assert np.isclose(fitted[0, k], torque[k] @ dq[k])
 
 
-def test_jacobian_of_an_expression():
-    rng = np.random.default_rng(1)
-    signals = [rng.uniform(-1.0, 1.0, (10, 2)) for _ in range(4)]
-    limits = ExpressionLimit("everything", everything, lower=-1.0).on(ROBOT)
-    slopes = limits.jacobian(MotionSamples(np.zeros(10), *signals))
-    for k in range(8):
-        change = [np.zeros((10, 2)) for _ in range(4)]
-        change[k // 2][:, k % 2] = 1e-6
-        moved = ([x + s * d for x, d in zip(signals, change, strict=True)] for s in (1.0, -1.0))
-        after, before = (limits.values(MotionSamples(np.zeros(10), *m)) for m in moved)
-        np.testing.assert_allclose(slopes[:, k], (after - before) / 2e-6, atol=1e-6)
-
-
 def test_own_limits_hold_and_are_listed():
     """Power by Pinocchio; jerk by differences of the acceleration."""
     limits = [ExpressionLimit("power", power, upper=8.0, unit="W"), jerk_limit(12.0)]

@@ -32,17 +32,6 @@ def test_the_solver_reads_no_clock(problem, monkeypatch):
     np.testing.assert_array_equal(quick.z, slow.z)
 
 
-def test_criteria_decrease():
-    """Each criterion ends below where its start was, and below the other criteria's optima."""
-    options = {"duration": 6.0, "starts": 1, "limits": ()}
-    model = lieid.Model(lieid.robots.two_link())
-    volume = excite(model, criterion="logdet", **options)
-    condition = excite(model, criterion="condition", **options)
-    assert volume.neg_log_det < condition.neg_log_det
-    assert condition.condition_number < volume.condition_number
-    assert volume.history[-1].value < volume.history[0].value
-
-
 @pytest.mark.parametrize(
     ("option", "message"),
     [
@@ -163,17 +152,6 @@ def test_exceptions_of_callbacks_are_raised_after_ipopt(failure, where, capfd):
         run_ipopt(program, np.zeros(2), np.zeros(1), radius=2.0, barrier=1e-9, iterations=100)
     assert program.left == 0
     assert capfd.readouterr() == ("", "")
-
-
-def test_an_interrupt_while_casadi_prepares(monkeypatch):
-    import lieid_casadi.excitation.ipopt as module
-
-    def interrupted(self):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(module._Function, "get_n_in", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        run_ipopt(Rosenbrock(), np.zeros(2), np.zeros(1), radius=2.0, barrier=1e-9, iterations=100)
 
 
 def test_a_run_stops_at_a_violated_limit_that_is_not_a_row(problem):

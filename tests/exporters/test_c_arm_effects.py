@@ -81,22 +81,6 @@ def test_torque_is_that_of_predict(name, tmp_path):
             np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("name", sorted(set(EFFECTS) - {"bias_drift"}))
-def test_the_effect_is_in_the_torque(name):
-    """The effects compared above change the torque."""
-    fit = made_fit(tooled(PANDA), f"{FRICTION},{EFFECTS[name]}")
-    bare = dataclasses.replace(fit, parameters=np.where(_of_arm(fit), 0.0, fit.parameters))
-    recording = next(short_recordings(7))
-    assert np.abs(fit.predict(recording) - bare.predict(recording)).max() > 0.05
-
-
-def _of_arm(fit):
-    """Which parameters (10 n + m,) belong to effects that the plain friction does not have."""
-    plain = {label.partition(":")[0] for label in FRICTION.split(",")}
-    others = [c.name.partition(".")[0] not in plain for c in fit.model.columns]
-    return np.array([False] * 10 * fit.model.n + others)
-
-
 def test_columns_times_coefficients_are_the_friction(tmp_path):
     (fit,) = arms("all")
     functions = ["torque", "effect_torque", "effect_columns", "base_regressor"]

@@ -42,13 +42,6 @@ def test_all_files_and_nothing_else(fit, tmp_path):
     assert "left2_test.c" in names(tmp_path / "empty")
 
 
-def test_exports_of_one_fit_are_equal(fit, tmp_path):
-    for name in ("a", "b"):
-        export(fit, tmp_path / name, to="c")
-    for name in FILES:
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
-
-
 def test_an_earlier_export_is_replaced_only_by_force(fit, tmp_path):
     export(fit, tmp_path / "arm", prefix="left", to="c")
     with pytest.raises(OutputError, match="arm: not empty; expected a new folder, or --force"):
@@ -163,12 +156,6 @@ def test_bad_requests_are_one_line_and_write_nothing(fit_file, tmp_path, capsys,
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1
-    assert not names(tmp_path)
-
-
-def test_fit_that_is_not_there(tmp_path, capsys):
-    assert main(["export", str(tmp_path / "no.json"), "--to", "c", "-o", str(tmp_path / "o")]) == 2
-    assert "no.json" in capsys.readouterr().err
     assert not names(tmp_path)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from exporters.c_arms import ARMS, constants, library, pointer, run, sample_type
-from robot.random_arms import to_pinocchio
 
 import lieid_casadi as lieid
 from lieid_casadi.codegen_files import codegen_folder
@@ -220,17 +219,6 @@ def test_a_motion_can_begin_again(tmp_path):
     first, again = (arm.along(motion, {"friction": 1}, load=q)["friction"] for _ in range(2))
     assert (first == again).all()
     assert np.abs(first[0, :, 0] - first[2, :, 0]).max() > 1e-3  # z = 0 at first
-
-
-def test_gravity_of_an_arm_with_prismatic_joints():
-    """`build_pinocchio` of the plant and the conversion of the tests agree."""
-    fit = ARMS["sliding"]()
-    exported, original = build_pinocchio(fit.model.robot), to_pinocchio(fit.model.robot)
-    q = np.array([0.3, -0.2, 0.1, 0.5])
-    close(
-        pin.computeGeneralizedGravity(exported, exported.createData(), q),
-        pin.computeGeneralizedGravity(original, original.createData(), q),
-    )
 
 
 RUNTIME = {
