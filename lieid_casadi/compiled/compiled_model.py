@@ -18,10 +18,10 @@ from lieid_casadi.compiled.batch_evaluation import (
     MachineEvaluation,
     states_along,
 )
-from lieid_casadi.compiled.kernel_source import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ModelError
+from lieid_casadi.expressions.model_functions import ModelFunctions
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.robot import Robot
 
@@ -152,7 +152,7 @@ class Compiled:
         self, model: Model, *, threads: int | None = None, lanes: int | None = None
     ) -> None:
         self.model = model
-        self.functions = KernelFunctions(model)
+        self.functions = ModelFunctions(model)
         self.threads = default_threads() if threads is None else threads
         self._kernels = Kernels(self.functions, lanes)
         self._memory = Kernels(self.functions, lanes=1)

@@ -27,7 +27,7 @@ from lieid_casadi.compiled.compiler import (
     build,
     find_compiler,
 )
-from lieid_casadi.compiled.kernel_source import KernelFunctions, kernel_source
+from lieid_casadi.compiled.kernel_source import kernel_source
 from lieid_casadi.compiled.library import (
     Kernel,
     Reducer,
@@ -38,7 +38,7 @@ from lieid_casadi.compiled.library import (
 )
 from lieid_casadi.errors import CompilerError
 from lieid_casadi.expressions.c_writer import UnsupportedOperation
-from lieid_casadi.expressions.model_functions import SparseFunction
+from lieid_casadi.expressions.model_functions import ModelFunctions, SparseFunction
 from lieid_casadi.robot import Joint
 
 logger = logging.getLogger("lieid_casadi")
@@ -60,7 +60,7 @@ class Kernels:
     ``lanes``: samples per register; the most that this processor has if left out.
     """
 
-    def __init__(self, functions: KernelFunctions, lanes: int | None = None) -> None:
+    def __init__(self, functions: ModelFunctions, lanes: int | None = None) -> None:
         self.functions = functions
         self.target = target_of(lanes)
         self._loaded: dict[str, Kernel] = {}
@@ -214,7 +214,7 @@ def _compiled(compiler: Compiler, target: Target, text: str) -> bytes:
         return library.read_bytes()
 
 
-def _rigid_content(functions: KernelFunctions, name: str) -> str:
+def _rigid_content(functions: ModelFunctions, name: str) -> str:
     """Return all that a rigid function depends on: geometry, kept columns, deriving code."""
     model = functions.model
     robot, digest = model.robot, hashlib.sha256()

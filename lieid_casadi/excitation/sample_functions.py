@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation, Evaluation, MachineEvaluation
-from lieid_casadi.compiled.kernel_source import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.trajectory import MotionSamples
-from lieid_casadi.expressions.model_functions import sparse_function
+from lieid_casadi.expressions.model_functions import ModelFunctions, sparse_function
 from lieid_casadi.expressions.symbolic import FittedModel
 from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.model import Model, as_model
@@ -82,7 +81,7 @@ class SampleKernel:
 
     def _make_evaluation(self) -> Evaluation:
         # Kernels reads its functions as attributes
-        functions = cast(KernelFunctions, SimpleNamespace(**{self._name: self._sparse}))
+        functions = cast(ModelFunctions, SimpleNamespace(**{self._name: self._sparse}))
         compiled = Kernels(functions).get([self._name])
         if compiled is not None:
             return CompiledEvaluation(*compiled, (0,), self._sparse.shape)

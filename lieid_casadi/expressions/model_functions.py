@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion
-from lieid_casadi.dynamics.regressor import regressor
+from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
 from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
@@ -96,10 +96,21 @@ class ModelFunctions:
         self.time = ca.SX.sym("time")
         self.command_error = ca.SX.sym("command_error", n)
         self.states = ca.SX.sym("states", len(model.states))
+        self.coefficients = ca.SX.sym("coefficients", len(model.columns))
+        self.dq_r, self.ddq_r = ca.SX.sym("dq_r", n), ca.SX.sym("ddq_r", n)
         self._symbols = {"q": m.q, "sin": m.sin, "cos": m.cos, "dq": m.dq, "ddq": m.ddq}
         self._symbols |= {
             name: getattr(self, name)
-            for name in (*SIGNAL_NAMES[3:], "parameters", "shapes", "dead_zone", "states")
+            for name in (
+                *SIGNAL_NAMES[3:],
+                "parameters",
+                "shapes",
+                "dead_zone",
+                "states",
+                "coefficients",
+                "dq_r",
+                "ddq_r",
+            )
         }
 
     def _sparse(self, name: str, inputs: str, matrix: ca.SX) -> SparseFunction:
@@ -126,15 +137,32 @@ class ModelFunctions:
         return self._sparse("base_regressor", STATE, ca.horzcat(rigid, zeros))
 
     @cached_property
+    def _effects(self) -> tuple[str, ca.SX]:
+        """Inputs and matrix (n, m) of the effects' columns."""
+        inputs = " ".join([*SIGNAL_NAMES, "shapes dead_zone"])
+        inputs += " states" if self.model.states else ""
+        return inputs, self.model.effect_columns(self.signals, self.shapes, self.states)
+
+    @cached_property
     def effect_columns(self) -> SparseFunction:
         """All effect columns (n, m) as a function of motion, load, temperature, time and shapes.
 
         With effects that have memory, ``states`` (S,) is a further input.
         """
-        inputs = " ".join([*SIGNAL_NAMES, "shapes dead_zone"])
-        inputs += " states" if self.model.states else ""
-        matrix = self.model.effect_columns(self.signals, self.shapes, self.states)
-        return self._sparse("effect_columns", inputs, matrix)
+        return self._sparse("effect_columns", *self._effects)
+
+    @cached_property
+    def base_effects(self) -> SparseFunction:
+        """The effect columns that the base regressor keeps (n, k)."""
+        (inputs, matrix), kept = self._effects, self.model.base.kept - 10 * self.model.n
+        return self._sparse("base_effects", inputs, matrix[:, [int(k) for k in kept[kept >= 0]]])
+
+    @cached_property
+    def effect_torque(self) -> SparseFunction:
+        """Torque of all effects (n, 1), given their linear coefficients."""
+        inputs, matrix = self._effects
+        torque = ca.densify(ca.mtimes(matrix, self.coefficients))
+        return self._sparse("effect_torque", f"{inputs} coefficients", torque)
 
     @cached_property
     def advance(self) -> ca.Function:
@@ -149,12 +177,28 @@ class ModelFunctions:
         after = self.model.advance(before, self.signals, self.shapes, self.states)
         inputs = [self.states, *past, *symbols, self.shapes, self.dead_zone]
         names = ["states", *(f"before_{name}" for name in SIGNAL_NAMES), *SIGNAL_NAMES]
-        return ca.Function("advance", inputs, [after], [*names, "shapes", "dead_zone"], ["after"])
+        names += ["shapes", "dead_zone"]
+        return ca.Function("advance", inputs, [ca.densify(after)], names, ["after"], {"cse": True})
+
+    @cached_property
+    def memory(self) -> SparseFunction:
+        """`advance` as a column (S, 1)."""
+        count = len(self.model.states)
+        return SparseFunction(
+            self.advance, np.arange(count), np.zeros(count, dtype=np.intp), (count, 1)
+        )
 
     @cached_property
     def steps(self) -> ca.Function:
         """`advance` over STEPS consecutive samples: inputs (·, STEPS), states (S, STEPS)."""
         return self.advance.mapaccum("steps", STEPS).expand()
+
+    @cached_property
+    def slotine_li_regressor(self) -> SparseFunction:
+        """Y(q, q̇, q̇_r, q̈_r) (n, 10 n)."""
+        reference = recursion.ReferenceMotion(self.dq_r, self.ddq_r)
+        matrix = slotine_li_regressor(self.model.robot, self.motion, reference)
+        return self._sparse("slotine_li_regressor", f"{POSE} dq dq_r ddq_r", matrix)
 
     @cached_property
     def inverse_dynamics(self) -> SparseFunction:

@@ -8,10 +8,9 @@ from exporters.c_arms import library, made_fit, pointer, sample_type
 
 import lieid_casadi as lieid
 from lieid_casadi.compiled.batch_evaluation import states_along as compiled_states
-from lieid_casadi.compiled.kernel_source import KernelFunctions
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.exporters.export import export
-from lieid_casadi.expressions.model_functions import states_along
+from lieid_casadi.expressions.model_functions import ModelFunctions, states_along
 
 MODEL = lieid.Model(lieid.robots.two_link(), "presliding:1,presliding/lugre:2")
 BAD = 40
@@ -32,11 +31,11 @@ def signals(name="q", value=0.1):
 
 
 def by_casadi(motion):
-    return states_along(KernelFunctions(MODEL), motion)
+    return states_along(ModelFunctions(MODEL), motion)
 
 
 def by_compiled_batches(motion):
-    return compiled_states(Kernels(KernelFunctions(MODEL), lanes=1), motion)
+    return compiled_states(Kernels(ModelFunctions(MODEL), lanes=1), motion)
 
 
 @pytest.mark.parametrize("evaluate", [by_casadi, by_compiled_batches])
