@@ -14,11 +14,15 @@ from lieid_casadi.premises.findings import Finding
 from lieid_casadi.premises.plain_fit import Index, Samples
 from lieid_casadi.premises.screen import Alternative, Screen, best_on
 from lieid_casadi.recording import Recording
-from lieid_casadi.recording.sample_timing import gap_limit, mean_rate
+from lieid_casadi.recording.plausibility import unit_of_velocity
+from lieid_casadi.recording.sample_timing import (
+    TIME_UNITS,
+    gap_limit,
+    is_plausible_rate,
+    mean_rate,
+    unit_of_rate,
+)
 
-UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-#: Rates of recorders, Hz; a rate up to the third is that of none.
-SLOWEST, FASTEST, LEAST_RATE = 5.0, 5e4, 1.0 + 1e-6
 #: Mean speed below which no arm is recorded to identify it, rad/s.
 SLOWEST_ARM = 2e-3
 #: Delays that are tried, s, and the least one that is reported.
@@ -73,22 +77,18 @@ def suspected_unit(recording: Recording) -> Finding | None:
     than an arm does, and the rate fits.
     """
     rate = mean_rate(recording.t)
-    possible = [u for u, f in UNITS.items() if SLOWEST <= rate / f <= FASTEST]
-    if rate <= LEAST_RATE and possible:
-        return _unit(possible[0], f"a mean rate of {rate:.3g} Hz", certain=True)
-    q = np.asarray(recording.q)
-    steps = np.diff(recording.t)
+    possible = unit_of_rate(rate)
+    if possible and not is_plausible_rate(rate):
+        return _unit(possible, f"a mean rate of {rate:.3g} Hz", certain=True)
+    if recording.dq is not None:
+        found = unit_of_velocity(recording)
+        return found and _unit(found[0], f"velocities {found[1]:.3g} times too large", certain=True)
+    steps, q = np.diff(recording.t), np.asarray(recording.q)
     inside = steps <= gap_limit(recording.t)
     speed = np.abs(np.diff(q, axis=0))[inside].sum(axis=0) / max(float(steps[inside].sum()), 1e-12)
-    if recording.dq is not None:
-        recorded = np.mean(np.abs(np.asarray(recording.dq)), axis=0)
-        ratio = float(recorded.sum() / max(float(speed.sum()), 1e-300))
-        for unit, factor in UNITS.items():
-            if abs(np.log(ratio * factor)) < np.log(1.5):
-                return _unit(unit, f"velocities {ratio:.3g} times too large", certain=True)
-    elif possible and float(speed.max()) < SLOWEST_ARM and np.ptp(q, axis=0).max() > 0.1:
+    if possible and float(speed.max()) < SLOWEST_ARM and np.ptp(q, axis=0).max() > 0.1:
         why = f"no joint moves faster than {speed.max():.2g} rad/s on average"
-        return _unit(possible[0], why, certain=False)
+        return _unit(possible, why, certain=False)
     return None
 
 
@@ -96,7 +96,7 @@ def _unit(unit: str, why: str, *, certain: bool) -> Finding:
     """Return the finding of another unit of time."""
     option = f"--units {unit}"
     sentence = f"The time stamps are in {unit}, not in seconds ({why}): with {option}."
-    value = {"factor": UNITS[unit], "unit": unit}
+    value = {"factor": TIME_UNITS[unit], "unit": unit}
     return Finding("time_unit", (), value, sentence, option, certain=certain)
 
 

@@ -13,12 +13,10 @@ from numpy.typing import ArrayLike
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording.measurement import Measurement
-from lieid_casadi.recording.sample_timing import segment_edges
+from lieid_casadi.recording.sample_timing import TIME_UNITS, segment_edges
 from lieid_casadi.robot.drive import Drive, commanded_torque
 
 Measured = TypeVar("Measured", bound=Measurement)
-#: Unit of time -> seconds.
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: Unit of angles -> radians.
 ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180.0}
 

@@ -6,6 +6,8 @@ Whether torque and motion belong to a robot (signs, order, mounting) is tested b
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from lieid_casadi.arrays import Array, Mask
@@ -26,6 +28,8 @@ from lieid_casadi.messages import joints_text
 from lieid_casadi.recording.measurement import require_sound
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.sample_timing import (
+    TIME_NAMES,
+    TIME_UNITS,
     dropout_limit,
     gap_limit,
     mean_rate,
@@ -173,13 +177,10 @@ def check_time(recording: Recording) -> list[LieidWarning]:
 
 DEGREES = 180.0 / np.pi
 #: Ratio of the integral of dq to the change of q, and the unit that it shows.
-UNIT_RATIOS = (
-    (DEGREES, "dq in degrees per second and q in radians: convert dq with numpy.deg2rad"),
-    (1.0 / DEGREES, "q in degrees and dq in radians per second: convert q with numpy.deg2rad"),
-    (1e3, "t in milliseconds: convert with --units ms"),
-    (1e6, "t in microseconds: convert with --units us"),
-    (1e9, "t in nanoseconds: convert with --units ns"),
-)
+ANGLE_RATIOS = {
+    "dq in degrees per second and q in radians: convert dq with numpy.deg2rad": DEGREES,
+    "q in degrees and dq in radians per second: convert q with numpy.deg2rad": 1.0 / DEGREES,
+}
 #: A joint that stays within this never moves, rad (a tenth of it in m).
 STILL = 1e-3
 #: Length of a block in which a joint's way is compared with its velocity, s: short against the
@@ -187,32 +188,70 @@ STILL = 1e-3
 BLOCK_SECONDS, FEWEST_BLOCKS = 0.04, 8
 
 
-def check_velocity(recording: Recording) -> list[LieidWarning]:
-    """Compare the integral of dq with q."""
+@dataclass(frozen=True, eq=False)
+class _VelocityGains:
+    """Changes (B, n) of q and of the integral of dq over blocks, and how they compare (n,)."""
+
+    way: Array
+    integral: Array
+    gain: Array
+    correlation: Array
+    moving: Mask
+
+    def joint_with(self, ratio: float) -> int | None:
+        """Return the first joint, if most of the moving ones have this gain."""
+        found = self.moving & (np.abs(self.gain / ratio - 1.0) < 0.15) & (self.correlation > 0.9)
+        return int(np.argmax(found)) if found.sum() > 0.5 * self.moving.sum() else None
+
+
+def _velocity_gains(recording: Recording) -> _VelocityGains | None:
+    """Compare dq with q; None without dq or motion."""
     if recording.dq is None:
-        return []
-    title = recording.title
+        return None
     way, integral = _ways(recording, recording.dq)
     per_block = np.sqrt(np.mean(way**2, axis=0)) if len(way) else np.zeros(recording.n)
     moving = np.ptp(recording.q, axis=0) > 10.0 * STILL
     moving &= per_block > 3.0 * resolution(recording.q)
     if len(way) < FEWEST_BLOCKS or not moving.any():
+        return None
+    return _VelocityGains(way, integral, *_gain_and_correlation(way, integral), moving)
+
+
+def unit_of_velocity(recording: Recording) -> tuple[str, float] | None:
+    """Return the unit of time in which dq is the derivative of q, if it is not s, and the gain."""
+    found = _velocity_gains(recording)
+    if found is None:
+        return None
+    for unit in TIME_NAMES:
+        joint = found.joint_with(1.0 / TIME_UNITS[unit])
+        if joint is not None:
+            return unit, float(found.gain[joint])
+    return None
+
+
+def check_velocity(recording: Recording) -> list[LieidWarning]:
+    """Compare the integral of dq with q."""
+    found, title = _velocity_gains(recording), recording.title
+    if found is None:
         return []
-    gain, correlation = _gain_and_correlation(way, integral)
-    for factor, meaning in UNIT_RATIOS:
-        in_unit = moving & (np.abs(gain / factor - 1.0) < 0.15) & (correlation > 0.9)
-        if in_unit.sum() > 0.5 * moving.sum():
-            joint = int(np.argmax(in_unit))
+    meanings = ANGLE_RATIOS | {
+        f"t in {name}: convert with --units {unit}": 1.0 / TIME_UNITS[unit]
+        for unit, name in TIME_NAMES.items()
+    }
+    for meaning, ratio in meanings.items():
+        joint = found.joint_with(ratio)
+        if joint is not None:
             raise RecordingError(
-                f"{title}: column dq{joint + 1}: found {gain[joint]:.3g} times the derivative of "
-                f"q{joint + 1}, expected 1; this looks like {meaning}"
+                f"{title}: column dq{joint + 1}: found {found.gain[joint]:.3g} times the "
+                f"derivative of q{joint + 1}, expected 1; this looks like {meaning}"
             )
+    gain, correlation, moving = found.gain, found.correlation, found.moving
     wrong = moving & ((correlation < 0.9) | (np.abs(np.log(np.maximum(gain, 1e-12))) > 0.22))
     if not wrong.any():
         return []
     details = ", ".join(
         f"joint {j + 1} (gain {gain[j]:.2g}, correlation {correlation[j]:.2g}"
-        f"{_runs_like(way, integral, moving, j)})"
+        f"{_runs_like(found.way, found.integral, moving, j)})"
         for j in np.nonzero(wrong)[0].tolist()
     )
     return [VelocityMismatchWarning(f"{title}: dq is not the derivative of q: {details}")]

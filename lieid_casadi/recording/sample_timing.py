@@ -17,6 +17,9 @@ GAP_SECONDS = 0.05
 LOWEST_RATE, HIGHEST_RATE = 1.0, 1e6
 #: Rates of recorders, Hz: a unit is suggested if the stamps have such a rate in it.
 USUAL_RATES = (5.0, 5e4)
+#: Unit of time -> seconds.
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_NAMES = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
 #: Uniform instants per row, at most: stamps in clusters would ask for an unbounded number.
 INSTANTS_PER_ROW = 4
 
@@ -72,27 +75,35 @@ def uniform_count(t: Array, rate: float) -> int:
     return max(2, min(round(min(wanted, 1e15)) + 1, INSTANTS_PER_ROW * t.size))
 
 
+def is_plausible_rate(rate: float) -> bool:
+    """Return whether stamps with a mean rate, Hz, may be in seconds.
+
+    Whole milliseconds at 1 kHz read as seconds are exactly 1 Hz.
+    """
+    return LOWEST_RATE * (1.0 + 1e-6) < rate <= HIGHEST_RATE
+
+
+def unit_of_rate(rate: float) -> str | None:
+    """Return the unit, other than s, in which stamps with a mean rate are those of a recorder."""
+    low, high = USUAL_RATES
+    units = [
+        unit for unit, size in TIME_UNITS.items() if unit != "s" and low <= rate / size <= high
+    ]
+    return units[0] if units else None
+
+
 def require_plausible_rate(t: Array, title: str) -> None:
     """Refuse stamps (N,) whose mean rate shows that they are not in seconds."""
-    if t.size < 2:
+    rate = mean_rate(t) if t.size > 1 else np.inf
+    if t.size < 2 or is_plausible_rate(rate):
         return
-    rate = mean_rate(t)
-    # whole milliseconds at 1 kHz read as seconds are exactly 1 Hz
-    if LOWEST_RATE * (1.0 + 1e-6) < rate <= HIGHEST_RATE:
-        return
+    unit = unit_of_rate(rate)
+    remark = (
+        f": the stamps look like {TIME_NAMES[unit]}; if they are, convert with --units {unit}"
+        if unit
+        else ": check the unit of the stamps"
+    )
     raise RecordingError(
         f"{title}: column t: found a mean rate of {rate:.3g} Hz, expected stamps in seconds "
-        f"(rates between 1 Hz and 1 MHz){_suggestion(rate)}"
+        f"(rates between 1 Hz and 1 MHz){remark}"
     )
-
-
-def _suggestion(rate: float) -> str:
-    """Return a remark on the unit in which the stamps have the rate of a recorder."""
-    for unit, name, per_second in (
-        ("ms", "milliseconds", 1e3),
-        ("us", "microseconds", 1e6),
-        ("ns", "nanoseconds", 1e9),
-    ):
-        if USUAL_RATES[0] <= rate * per_second <= USUAL_RATES[1]:
-            return f": the stamps look like {name}; if they are, convert with --units {unit}"
-    return ": check the unit of the stamps"
