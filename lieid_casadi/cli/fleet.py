@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -55,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
     --on-alarm COMMAND  shell command that gets a line of JSON on its standard input for
         each alarm that is new, or worse: twice as large, or near its limit
     --horizon DAYS: int = 30  time before a limit is reached that is near
+    --log FILE  append faults, silent arms and alarms, each line with time and level
     """
     from lieid_casadi.fleet.alarms import alarms_to_report, evidence, read_alarms
     from lieid_casadi.fleet.cluster import RunOptions
@@ -69,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         scheduler=args.scheduler, workers=args.workers, memory=args.memory, timeout=args.timeout
     )
     removed: int | None = None
-    with History(args.output, wait=args.wait) as history:
+    with _log_file(args.log) as log, History(args.output, wait=args.wait) as history:
         with _progress() as report:
             result = run_fleet(
                 fleet, history, options=settings, since=args.since, newest=args.night,
@@ -78,15 +80,17 @@ def run(args: argparse.Namespace) -> int:
         if args.keep is not None:
             removed = history.remove_before(datetime.now(UTC).date() - timedelta(days=args.keep))
         changed = alarms_to_report(history, horizon=args.horizon)
+        for alarm in changed:
+            log.warning("alarm: %s: %s", alarm.serial, alarm.sentence)
         lines = [evidence(history, alarm) for alarm in changed]
         alarms = read_alarms(history, open_only=True)
         unlike = outliers(history)
-    new = {(alarm.serial, alarm.series, alarm.raised) for alarm in result.new_alarms}
+    new = {(alarm.serial, alarm.raised) for alarm in result.new_alarms}
     _print_run(args, result)
     if removed is not None:
         output.show(f"{removed} runs of nights more than {args.keep} days ago were removed.")
     for alarm in changed:
-        kind = "New" if (alarm.serial, alarm.series, alarm.raised) in new else "Worse"
+        kind = "New" if (alarm.serial, alarm.raised) in new else "Worse"
         output.show(f"{kind} alarm: {alarm.serial}: {alarm.sentence}")
     output.show(f"Open alarms: {len(alarms)}. lieid fleet report {args.output} lists them.")
     for outlier in unlike[:MOST_SHOWN]:
@@ -160,6 +164,28 @@ def _progress() -> Iterator[Callable[[FleetProgress], None]]:
         yield lambda state: bar.update(
             task, completed=state.finished, total=state.total, description=_state(state)
         )
+
+
+@contextmanager
+def _log_file(path: str | None) -> Iterator[logging.Logger]:
+    """Append what the fleet logs to a file, with time and level."""
+    logger = logging.getLogger("lieid_casadi.fleet")
+    if path is None:
+        yield logger
+        return
+    handler = logging.FileHandler(path, encoding="utf-8")
+    handler.setFormatter(
+        logging.Formatter("%(asctime)s %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S%z")
+    )
+    before = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield logger
+    finally:
+        logger.setLevel(before)
+        logger.removeHandler(handler)
+        handler.close()
 
 
 def _state(state: FleetProgress) -> str:
@@ -272,7 +298,7 @@ def acknowledge(args: argparse.Namespace) -> output.Outcome:
     --refit FLEET.yaml  the change lasts: estimate the changed coefficients again from the
         nights since, and write a fit beside the present one
     """
-    from lieid_casadi.fleet.alarms import acknowledge, open_alarms, refit_advice
+    from lieid_casadi.fleet.alarms import acknowledge, identify_again, open_alarms
     from lieid_casadi.fleet.config import read_fleet
     from lieid_casadi.fleet.history import History
     from lieid_casadi.fleet.run import reidentify
@@ -287,8 +313,10 @@ def acknowledge(args: argparse.Namespace) -> output.Outcome:
         last = acknowledge(history, args.serial, joint=args.joint, note=args.note, last=args.date)
         lasting = [alarm for alarm in alarms if alarm.last == last]
         if lasting and not advice:
-            advice = refit_advice(history, lasting[0])
-            advice = f"The arm differed from its fit until the last night. {advice}"
+            advice = (
+                "The arm differed from its fit until the last night. If the change lasts, --refit "
+                f"estimates the changed coefficients again. {identify_again(history, lasting[0])}"
+            )
     where = f" of joint {args.joint}" if args.joint else ""
     plural = "" if len(alarms) == 1 else "s"
     text = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
@@ -81,6 +82,7 @@ class Alarm:
     warned: bool = False  # whether it was reported that the limit is near
     limit_early: date | None = None  # for the bounds of the slope; None: never
     limit_late: date | None = None
+    rivals: str = ""  # effects that fit as well, separated by commas
 
     @property
     def action(self) -> str:
@@ -177,7 +179,8 @@ def _described(
         else _of_error(arm, changed, since)
     )  # fmt: skip
     quantity, joint = fields["quantity"], fields["joint"]
-    rivals = named[quantity, joint][-1].rivals if (quantity, joint) in named else ""
+    own_findings = named.get((quantity, joint), [])
+    fields["rivals"] = rivals = (own_findings[-1].rivals or "") if own_findings else ""
     fields["sentence"] += f"; fits as well: {rivals}" if rivals else ""
     others = [label_of(e, j) for e, j in named if (e, j) != (quantity, joint)]
     if others and (own is not None or named):
@@ -337,7 +340,10 @@ def alarms_after(
     alarms: Sequence[Alarm], arms: Sequence[ArmHistory], night: date
 ) -> tuple[list[Alarm], list[Alarm]]:
     """Return all alarms after a night, and those that are new."""
-    alarmed = {alarm.serial for alarm in alarms if alarm.closed is None}
+    alarmed = defaultdict[str, set[int | None]](set)
+    for alarm in alarms:
+        if alarm.closed is None:
+            alarmed[alarm.serial].add(alarm.joint)
     judged = {each.arm.serial: each for each in judge_night(arms, night, alarmed=alarmed)}
     kept = [a for a in alarms if a.closed is not None or a.serial not in judged]
     new: list[Alarm] = []
@@ -380,10 +386,11 @@ def evidence(history: History, alarm: Alarm) -> dict[str, Any]:
     recording, fit = rows[0] if rows else (None, None)
     command = shlex.join(["lieid", "workbench", fit, recording]) if recording and fit else None
     fields = {k: v.isoformat() if isinstance(v, date) else v for k, v in vars(alarm).items()}
+    fields["rivals"] = alarm.rivals.split(", ") if alarm.rivals else []
     return fields | {"action": alarm.action, "recording": recording, "command": command}
 
 
-def refit_advice(history: History, alarm: Alarm) -> str:
+def identify_again(history: History, alarm: Alarm) -> str:
     """Return how to identify an arm again that differs from its fit since an alarm."""
     rows = history.rows(
         "SELECT recording, a.fit FROM runs r JOIN arms a USING (serial, fit_sha256) WHERE "
@@ -394,10 +401,9 @@ def refit_advice(history: History, alarm: Alarm) -> str:
     old, first = rows[0][1] if rows else "", alarm.last + timedelta(days=1)
     new = f"{alarm.serial}-{first}.json"
     return (
-        "If the change lasts, a new fit is needed: with the old one another motion can look like a "
-        "change. lieid fleet acknowledge --refit estimates the changed coefficients again; for all "
-        f"of them identify the arm again: lieid identify ROBOT {recordings} -o {new}, and enter "
-        f"the fit into the fleet file: fit: [{{path: {old}}}, {{path: {new}, from: {first}}}]."
+        f"To identify the arm again: lieid identify ROBOT {recordings} -o {new}, and in the fleet "
+        f"file fit: [{{path: {old}}}, {{path: {new}, from: {first}}}]. With the old fit another "
+        "motion can look like a change."
     )
 
 

@@ -132,8 +132,8 @@ def _rows_by_arm(history: History) -> dict[str, defaultdict[str, list[tuple[Any,
         "GROUP BY serial, name, joint ORDER BY serial, min(p.rowid)",
         "joints": f"SELECT serial, joint, {lists} FROM kept JOIN errors USING (run_id, serial) "
         "GROUP BY serial, joint ORDER BY serial, joint",
-        "findings": "SELECT serial, k, effect, joint, change, std, unit, severity, sentence "
-        "FROM kept JOIN findings f USING (run_id, serial) ORDER BY serial, k, f.rowid",
+        "findings": "SELECT serial, k, effect, joint, change, std, unit, severity, sentence, "
+        "rivals FROM kept JOIN findings f USING (run_id, serial) ORDER BY serial, k, f.rowid",
     }
     found: dict[str, defaultdict[str, list[tuple[Any, ...]]]] = {}
     for name, query in queries.items():

@@ -346,6 +346,7 @@ def _finding(step: Step) -> Finding:
         unit,
         float(np.nan_to_num(step.share)),
         sentence + (f"; fits as well: {rivals}" if rivals else ""),
+        rivals,
     )
 
 

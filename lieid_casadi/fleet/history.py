@@ -28,14 +28,15 @@ from lieid_casadi.messages import reason_of
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-SCHEMA = 5
+SCHEMA = 6
+MEMORY = "512MB"  # of DuckDB, which otherwise keeps most of a large history in memory
 TABLES = {
     "runs": "run_id VARCHAR PRIMARY KEY, serial VARCHAR, recording VARCHAR, "
     "recording_sha256 VARCHAR, fit_sha256 VARCHAR, version VARCHAR, started TIMESTAMPTZ, "
     "seconds DOUBLE, status VARCHAR, reason VARCHAR, date DATE, stamp VARCHAR, condition VARCHAR, "
     "payload VARCHAR, method INTEGER",
     "findings": "run_id VARCHAR, serial VARCHAR, date DATE, effect VARCHAR, joint INTEGER, "
-    "change DOUBLE, std DOUBLE, unit VARCHAR, severity DOUBLE, sentence VARCHAR",
+    "change DOUBLE, std DOUBLE, unit VARCHAR, severity DOUBLE, sentence VARCHAR, rivals VARCHAR",
     "parameters": "run_id VARCHAR, serial VARCHAR, date DATE, name VARCHAR, joint INTEGER, "
     "value DOUBLE, std DOUBLE, unit VARCHAR",
     "errors": "run_id VARCHAR, serial VARCHAR, date DATE, joint INTEGER, rms_moving DOUBLE, "
@@ -51,7 +52,7 @@ TABLES = {
     "change DOUBLE, std DOUBLE, unit VARCHAR, sentence VARCHAR, raised DATE, closed DATE, "
     "note VARCHAR, severity DOUBLE, slope DOUBLE, limit_date DATE, series VARCHAR, "
     "slope_low DOUBLE, slope_high DOUBLE, reported DOUBLE, warned BOOLEAN, limit_early DATE, "
-    "limit_late DATE",
+    "limit_late DATE, rivals VARCHAR",
     "acknowledgements": "serial VARCHAR, joint INTEGER, date DATE, note VARCHAR, "
     "written TIMESTAMPTZ",
     "judged": "date DATE, written TIMESTAMPTZ",
@@ -68,6 +69,7 @@ COMMENTS = {
     "runs.payload": "label of the payload in the recording",
     "runs.method": "number of the method of diagnosis",
     "findings.joint": "from 1; null for the whole arm",
+    "findings.rivals": "effects that fit as well, separated by commas",
     "findings.severity": "part of the joint's torque that the effect explains",
     "parameters.std": "from the noise of the fit alone",
     "errors": "of the fit on a night, per joint (from 1), N·m",
@@ -366,7 +368,7 @@ def _connect(path: str, *, read_only: bool, wait: float) -> DuckDBPyConnection:
     end = time.monotonic() + wait
     while True:
         try:
-            return duckdb.connect(path, read_only=read_only)
+            return duckdb.connect(path, read_only=read_only, config={"memory_limit": MEMORY})
         except duckdb.Error as error:
             text = str(error)
             if "lock" not in text:

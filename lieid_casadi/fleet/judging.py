@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from operator import itemgetter
@@ -31,6 +31,7 @@ from lieid_casadi.fleet.history import History
 from lieid_casadi.tables import Table, make_table
 
 FALSE_ALARMS = 5e-4  # per arm and night, at most
+KNOWN_CHANGE = 0.01  # p-value of a quantity of a joint with an open alarm, not corrected
 DISCOVERY_RATE = 0.05  # false discoveries among the arms with a new change, at most
 LEAST_SIZE = 3.0  # of a change, in units of the night-to-night scatter
 SEEN_WITHOUT_NIGHT = 0.01  # p-value at which nights show a change without any one of them
@@ -52,6 +53,11 @@ class ChangedQuantity:
     def label(self) -> str:
         """Label of the quantity."""
         return self.quantity.label
+
+    @property
+    def joint(self) -> int | None:
+        """Joint of the quantity, from 1."""
+        return self.quantity.joint
 
 
 @dataclass(frozen=True)
@@ -88,19 +94,24 @@ class JudgedArm:
 
 @blas_on_one_thread
 def judge_night(
-    arms: Sequence[ArmHistory], last: date, *, alarmed: Collection[str] = ()
+    arms: Sequence[ArmHistory],
+    last: date,
+    *,
+    alarmed: Mapping[str, Collection[int | None]] | None = None,
 ) -> list[JudgedArm]:
     """Return the significant changes of all arms with a recording of a night, without later nights.
 
     Every change is judged against the scatter of its own arm. The p-values of an arm are adjusted
     for their number (Benjamini and Hochberg); the smallest is the p-value of the arm (Simes). Arms
     have changed if it is at most `FALSE_ALARMS`, and if they are discoveries at `DISCOVERY_RATE`
-    among the arms without an open alarm (``alarmed``: serial numbers of those with one). The
-    quantities of other arms, and known changes, therefore do not raise the limit of an arm.
+    among the arms without an open alarm. The quantities of other arms, and known changes, therefore
+    do not raise the limit of an arm. ``alarmed`` has the joints with an open alarm by serial
+    number: a quantity of these belongs to that alarm from `KNOWN_CHANGE` on.
     """
+    alarmed = alarmed or {}
     known = [arm for arm in (each.until(last) for each in arms) if arm.dates]
     tonight = [arm for arm in known if arm.dates[-1] == last]
-    tests = _adjusted_tests(tonight, known)
+    tests = _adjusted_tests(tonight, known, alarmed)
     quiet = [k for k, arm in enumerate(tonight) if arm.serial not in alarmed]
     chosen = set(range(len(tonight)))
     if quiet:
@@ -110,7 +121,11 @@ def judge_night(
     return [_judged(arm, tests[k] if k in chosen else []) for k, arm in enumerate(tonight)]
 
 
-def _adjusted_tests(tonight: Sequence[ArmHistory], known: Sequence[ArmHistory]) -> list[list[Test]]:
+def _adjusted_tests(
+    tonight: Sequence[ArmHistory],
+    known: Sequence[ArmHistory],
+    alarmed: Mapping[str, Collection[int | None]],
+) -> list[list[Test]]:
     """Return, for each arm, what may have changed, with p-values adjusted for their number."""
     scatter, warmth = _priors(known)
     # on an arm that has changed an effect is found every night; each arm therefore counts once
@@ -134,7 +149,11 @@ def _adjusted_tests(tonight: Sequence[ArmHistory], known: Sequence[ArmHistory]) 
         tests += _repeated(arm, rates)
         if tests:
             p_values = false_discovery_control([p for _, p in tests])
-            tests = [(item, float(p)) for (item, _), p in zip(tests, p_values, strict=True)]
+            known_joints, limit = alarmed.get(arm.serial, ()), FALSE_ALARMS / KNOWN_CHANGE
+            tests = [
+                (item, limit * own if item.joint in known_joints else float(p))
+                for (item, own), p in zip(tests, p_values, strict=True)
+            ]
         adjusted.append(tests)
     return adjusted
 

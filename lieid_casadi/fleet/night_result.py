@@ -57,11 +57,7 @@ class Finding:
     unit: str
     severity: float
     sentence: str
-
-    @property
-    def rivals(self) -> str:
-        """Effects that fit as well, separated by commas."""
-        return self.sentence.partition("; fits as well: ")[2]
+    rivals: str = ""  # effects that fit as well, separated by commas
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +15,7 @@ from pathlib import Path
 
 from lieid_casadi import __version__
 from lieid_casadi.errors import FleetError, LieidError
-from lieid_casadi.fleet.alarms import Alarm, judge_new_nights, refit_advice
+from lieid_casadi.fleet.alarms import Alarm, identify_again, judge_new_nights
 from lieid_casadi.fleet.arm_night import reidentified
 from lieid_casadi.fleet.cluster import RunOptions, dashboard_of, dask_client, run_on_cluster
 from lieid_casadi.fleet.config import Dated, Fleet, FleetArm, valid_at
@@ -29,6 +30,7 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
 
+LOG = logging.getLogger(__name__)
 ARMS_AT_ONCE = 200  # whose finished runs are read by one query
 SNAPSHOT_SECONDS = 300.0  # after which readers get what a call has recorded so far
 
@@ -85,6 +87,7 @@ def run_fleet(
     settings, start = options or RunOptions(), time.monotonic()
     expected = newest or datetime.now(UTC).date() - timedelta(days=1)
     todo = nights_to_run(fleet, history, newest=expected, since=since, rerun=rerun)
+    LOG.info("%d arm-nights to run, %d in the history", len(todo.nights), todo.finished)
     counts: Counter[str] = Counter()
     faults: list[str] = []
     written = time.monotonic()
@@ -95,6 +98,7 @@ def run_fleet(
         counts["repeated" if result.repeated else result.status] += 1
         if result.status != "done":
             faults.append(f"{night.serial}: {result.reason}")
+            LOG.warning("%s %s %s: %s", night.serial, night.date, result.status, result.reason)
         if time.monotonic() - written > SNAPSHOT_SECONDS:
             history.write_snapshot()
             written = time.monotonic()
@@ -114,6 +118,9 @@ def run_fleet(
     seconds = time.monotonic() - start
     call = (datetime.now(UTC), seconds, __version__, json.dumps(counts), len(new))
     history.insert("calls", [call])
+    for serial, day, status in silent:
+        LOG.warning("%s %s: %s", serial, day, status)
+    LOG.info("ended after %.1f s: %s, %d new alarms", seconds, json.dumps(counts), len(new))
     return FleetRun(dict(counts), todo.finished, seconds, tuple(new), tuple(faults), tuple(silent))
 
 
@@ -268,7 +275,8 @@ def recordings_of(
                 )
 
 
-NIGHTS_AGAIN = 8  # latest ones since a change, from which its coefficients are estimated again
+#: Latest nights since a change, from which its coefficients are estimated again; of a drift fewer.
+NIGHTS_AGAIN, NIGHTS_OF_DRIFT = 8, 3
 
 
 def reidentify(history: History, fleet: Fleet, alarms: Sequence[Alarm]) -> str:
@@ -289,13 +297,16 @@ def reidentify(history: History, fleet: Fleet, alarms: Sequence[Alarm]) -> str:
         (night for night, reason in found if not reason and night.fit_sha256 == present.sha256),
         key=lambda night: night.date,
     )
-    nights = [n for n in nights if since <= date.fromisoformat(n.date) <= last][-NIGHTS_AGAIN:]
+    most = NIGHTS_OF_DRIFT if any(alarm.slope is not None for alarm in alarms) else NIGHTS_AGAIN
+    nights = [n for n in nights if since <= date.fromisoformat(n.date) <= last][-most:]
     if not nights:
         raise FleetError(f"arm {serial} has no recordings from {since} to {last}")
     changed = {label_of(alarm.quantity, alarm.joint) for alarm in alarms}
     of_model = {f"{c.name.partition('.')[0]}:{c.joint + 1}" for c in present.fit.model.base_columns}
     if not changed <= of_model | {"payload"}:
-        return refit_advice(history, alarms[0])
+        return (
+            f"The model lacks {', '.join(changed - of_model)}. {identify_again(history, alarms[0])}"
+        )
     for alarm in alarms:
         changed |= {x for x in alarm.labels if alarm.joint and x.endswith(f":{alarm.joint}")}
     again = reidentified(nights, present.content, changed)
@@ -305,7 +316,7 @@ def reidentify(history: History, fleet: Fleet, alarms: Sequence[Alarm]) -> str:
         f"{ratio:.2g} times the held-out error. "
     )
     if not again.holds:
-        return text + refit_advice(history, alarms[0])
+        return text + identify_again(history, alarms[0])
     first = last + timedelta(days=1)
     old = Path(present.path if present.path and is_local(present.path) else f"{serial}.json")
     path = old.with_name(f"{old.stem}-{first}.json")

@@ -16,11 +16,14 @@ EXAMPLES = Path(__file__).parents[2] / "examples" / "fleet"
 
 
 @pytest.mark.slow
-def test_the_example_fleet(tmp_path):
+def test_the_example_fleet(tmp_path, capsys):
     runpy.run_path(str(EXAMPLES / "make_fleet.py"))["make_fleet"](tmp_path)
     history = str(tmp_path / "history.duckdb")
     words = ["fleet", str(tmp_path / "fleet.yaml"), "-o", history, "--workers", "1"]
     assert main([*words, "--night", "2026-01-12", "--exit-code"]) == 7
+    shown = capsys.readouterr().out
+    assert shown.count("New alarm: ") == 2  # also A2, whose alarm gains quantities on later nights
+    assert "Worse alarm" not in shown
     with History(history, read_only=True) as opened:
         alarms = opened.rows("SELECT serial, quantity, joint FROM alarms ORDER BY serial")
         missing = opened.rows(

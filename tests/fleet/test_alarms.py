@@ -137,11 +137,9 @@ def test_report_export_and_acknowledge_by_command(judged, tmp_path, capsys):
 
     assert pq.read_table(tmp_path / "tables" / "alarms.parquet").num_rows == 3
     assert main(["fleet", "acknowledge", path, "A1", "--joint", "2", "--note", "greased"]) == 0
-    shown = capsys.readouterr().out
+    shown = " ".join(capsys.readouterr().out.split())
     assert "1 alarm of joint 2 closed" in shown
-    assert "identify the arm again: lieid identify ROBOT A1/2026-01-14.csv" in " ".join(
-        shown.split()
-    )
+    assert "identify the arm again: lieid identify ROBOT A1/2026-01-14.csv" in shown
     assert "A1-2026-01-15.json, from: 2026-01-15}" in shown
     for words in (
         ["report", "none"],

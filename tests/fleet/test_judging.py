@@ -73,11 +73,17 @@ def test_changes_of_other_arms_do_not_make_a_change_significant(partly_changed):
 
 def test_arms_with_an_open_alarm_are_no_discoveries_of_the_night(partly_changed, monkeypatch):
     monkeypatch.setattr(judging, "DISCOVERY_RATE", 1e-4)
-    alarmed = {arm.serial for arm in partly_changed[3:6]}
+    alarmed = {arm.serial: () for arm in partly_changed[3:6]}
     known = smallest_step(partly_changed, alarmed=alarmed)
     assert smallest_step(partly_changed) < known < 11.5
     judged = judge_night(partly_changed, partly_changed[0].dates[-1], alarmed=alarmed)
     assert [bool(each.changed) for each in judged] == [3 <= k < 6 for k in range(12)]
+
+
+def test_a_change_on_a_joint_with_an_open_alarm_is_not_corrected_for_multiplicity():
+    arms = fleet_of(12, 9, seed=1)
+    other, known = ({arms[0].serial: {joint}} for joint in (2, 1))
+    assert smallest_step(arms, alarmed=known) < smallest_step(arms, alarmed=other)
 
 
 def test_a_night_that_is_unlike_the_others_raises_no_alarm():

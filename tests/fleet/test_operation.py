@@ -5,7 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
-from datetime import date, timedelta
+from datetime import date, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -64,8 +64,13 @@ def test_an_arm_that_does_not_record_is_a_signal(call, capsys):
     (nights / "A1").mkdir()  # it never delivers
     (nights / "A2" / "2026-01-02.csv").unlink()
     (nights / "A2" / f"{LAST}.csv").write_bytes(b"")
-    assert call() == 6
+    log = call.folder / "fleet.log"
+    assert call("--log", str(log)) == 6
     assert f"A1: failed on {LAST}" in capsys.readouterr().out
+    lines = [line.split(" ", 2) for line in log.read_text("utf-8").splitlines()]
+    assert all(datetime.fromisoformat(when).tzinfo for when, _, _ in lines)
+    assert ["WARNING", f"A1 {LAST}: failed"] in [line[1:] for line in lines]
+    assert lines[-1][1] == "INFO"
     assert call("--most-failed", "1") == 0
     (nights / "A2" / f"{LAST}.csv").unlink()
     assert call("--night", "2026-01-05", "--most-failed", "1") == 6
@@ -129,6 +134,13 @@ def test_a_change_that_lasts_is_acknowledged_with_a_new_fit(call, capsys):
     )
     assert main([*words, "--refit", str(call.folder / "fleet.yaml")]) == 2
     assert "no such open alarm" in capsys.readouterr().err
+    new.unlink()
+    with History(call.folder / "h.duckdb") as history:
+        history.rows("UPDATE alarms SET closed = NULL, quantity = 'encoder_offset', joint = 1")
+    assert main([*words, "--refit", str(call.folder / "fleet.yaml")]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "The model lacks encoder_offset:1. To identify the arm again: lieid identify" in shown
+    assert not new.exists()
 
 
 def test_nights_of_maintenance_are_left_out(call):
@@ -148,6 +160,7 @@ def test_the_alarm_command_gets_each_alarm_once(call):
     alarm = json.loads(line)
     assert (alarm["serial"], alarm["quantity"], alarm["closed"]) == ("A1", "payload", None)
     assert alarm["recording"].endswith(f"A1/{LAST}.csv")
+    assert alarm["rivals"] == []
     assert alarm["command"].split()[:2] == ["lieid", "workbench"]
     assert alarm["command"].endswith(alarm["recording"])
 
