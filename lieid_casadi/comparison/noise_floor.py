@@ -5,7 +5,11 @@ what does not depend on the motion. It is estimated from the difference between 
 recording is periodic (`period_noise`), and otherwise as the part of the error that no function of
 the motion explains: the model's own columns and common effects (`motion_columns`), alone or with
 couplings of the joints (`coupling_columns`), by ridge regression whose penalty is chosen on
-held-out blocks of time. It never exceeds the error itself.
+held-out blocks of time. Of slow noise functions of the motion explain a part by chance: what they
+explain of an error is none of it unless they explain less of the same error at every other time of
+the motion (shifted surrogates; Theiler et al., Physica D 1992). On recordings
+that the fit did not use, a model that lacks nothing has besides the error of its parameters, which
+their covariance states. The floor never exceeds the error itself.
 """
 
 from __future__ import annotations
@@ -19,6 +23,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.variable_projection import shape_columns
 from lieid_casadi.identification.uncertainty.noise_model import common_effect_columns
 from lieid_casadi.recording import Recording, period_noise
 from lieid_casadi.recording.processed import Processed
@@ -29,6 +34,7 @@ BANDWIDTH = 0.5  # of the sampled band that the low-pass filter leaves: independ
 DEPENDENT = 0.8  # of the mean square error: with less on held-out blocks, the error depends on …
 FEWEST_ROWS = 2.0  # … the motion, and columns are fitted without penalty; rows per column
 LEAST_ROWS = 40  # in motion, for an estimate
+SHIFTS = 15  # of the error against the motion
 
 SOURCES = {
     "period_to_period": "differences between periods of the motion",
@@ -43,9 +49,7 @@ def noise_floor(
     """Return the noise of the torque after the fit's filter (n,), N·m, and its key of `SOURCES`.
 
     ``segments`` are those of the recordings, ``error`` (n,) is the RMS error in motion, N·m. The
-    noise is NaN for joints that hardly move. At the frequencies of the motion it cannot be
-    distinguished from a function of the motion and is underestimated in short recordings, by a
-    factor of up to two if its correlation time is some tenths of a second.
+    noise is NaN for joints that hardly move.
     """
     cutoff = segments[0].cutoff
     repeated = [(period_noise(r, cutoff=cutoff), r.duration) for r in recordings]
@@ -56,6 +60,10 @@ def noise_floor(
         source = "period_to_period"
     else:
         floor, source = _independent_of_motion(fit, segments), "motion"
+    trained = {each.sha256 for each in fit.provenance.recordings}
+    unseen = [s for s in segments if s.recording.source_hash not in trained]
+    part = sum(len(s.filtered_time) for s in unseen) / sum(len(s.filtered_time) for s in segments)
+    floor = np.hypot(floor, np.sqrt(part) * _uncertainty(fit, unseen))
     floor = np.where(np.isfinite(error), np.minimum(floor, error), np.nan)
     return floor, source if np.isfinite(floor).any() else "none"
 
@@ -75,39 +83,64 @@ def _independent_of_motion(fit: Fit, segments: Sequence[Processed]) -> Array:
         coupled = np.column_stack([own, couplings[joint.instant]])
         fold = joint.instant // block % FOLDS
         enough = len(np.unique(fold)) == FOLDS and len(residual) > LEAST_ROWS
+        shifts = [round(k * len(residual) / (SHIFTS + 1)) for k in range(SHIFTS + 1)]
+        errors = np.column_stack([np.roll(residual, shift) for shift in shifts])
         # Both are upper bounds: short recordings do not determine the coefficients of all columns.
-        found = [_unexplained(each, residual, fold) for each in (own, coupled) if enough]
-        floors.append(min(found, default=np.nan))
+        found = [_unexplained(each, errors, fold) for each in (own, coupled) if enough]
+        if not found:
+            floors.append(np.nan)
+            continue
+        square, *by_chance = np.minimum.reduce(found)
+        noise = square if square < min(by_chance) else 1.0
+        floors.append(np.sqrt(np.mean(residual**2) * noise))
     return np.array(floors)
 
 
-def _unexplained(columns: Array, error: Array, fold: NDArray[np.intp]) -> float:
-    """Return the RMS of what columns (N, k) do not explain of an error (N,)."""
+def _uncertainty(fit: Fit, segments: Sequence[Processed]) -> Array:
+    """Return the RMS standard deviation of the predicted torque (n,), N·m."""
+    if not segments:
+        return np.zeros(fit.model.n)
+    design = Design(fit.compiled, segments)
+    rows, count = design.rows(fit.shapes, fit.parameters), len(fit.values)
+    slopes = shape_columns(design, fit.values, fit.shapes, fit.parameters)
+    found = []
+    for joint, of_shapes in zip(rows.joints, slopes, strict=True):
+        own = np.append(joint.columns, count + np.arange(len(fit.shapes)))
+        columns = np.hstack([joint.matrix, of_shapes])
+        variance = np.sum(columns @ fit.covariance[np.ix_(own, own)] * columns, axis=1)
+        found.append(np.sqrt(max(float(np.mean(variance)), 0.0)) if len(variance) else 0.0)
+    return np.nan_to_num(found)
+
+
+def _unexplained(columns: Array, errors: Array, fold: NDArray[np.intp]) -> Array:
+    """Return the part (S,) of the squares of errors (N, S) that columns (N, k) do not explain."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     scaled = columns[:, size > 0.0] / size[size > 0.0]
-    count, total = len(error), float(np.mean(error**2))
+    count, total = len(errors), np.maximum(np.mean(errors**2, axis=0), 1e-300)
     independent = BANDWIDTH * count
-    held_out = np.sum([_held_out(scaled, error, fold == k) for k in range(FOLDS)], axis=0) / count
-    best = int(np.argmin(held_out))
+    held_out = np.sum([_held_out(scaled, errors, fold == k) for k in range(FOLDS)], axis=0) / count
+    best = np.argmin(held_out, axis=0)
     spread = np.maximum(np.linalg.eigvalsh(scaled.T @ scaled / count), 0.0)
-    used = float(np.sum((spread / (spread + PENALTIES[best])) ** 2))
+    used = np.sum((spread / (spread + PENALTIES[best][:, None])) ** 2, axis=1)
     # held-out errors contain the uncertainty of the columns' coefficients
-    square = float(held_out[best]) / (1.0 + used * FOLDS / (FOLDS - 1) / independent)
-    if square < DEPENDENT * total and independent > FEWEST_ROWS * scaled.shape[1]:
-        left, _, rank, _ = np.linalg.lstsq(scaled, error, rcond=1e-5)
-        rest = error - scaled @ left
-        square = min(square, float(rest @ rest) / count / (1.0 - rank / independent))
-    return float(np.sqrt(min(square, total)))
+    square = held_out.min(axis=0) / (1.0 + used * FOLDS / (FOLDS - 1) / independent)
+    if independent > FEWEST_ROWS * scaled.shape[1]:
+        left, _, rank, _ = np.linalg.lstsq(scaled, errors, rcond=1e-5)
+        rest = np.mean((errors - scaled @ left) ** 2, axis=0) / (1.0 - rank / independent)
+        square = np.where(square < DEPENDENT * total, np.minimum(square, rest), square)
+    return np.asarray(np.minimum(square / total, 1.0))
 
 
-def _held_out(columns: Array, error: Array, out: NDArray[np.bool_]) -> Array:
-    """Return the sum of squared errors of held-out rows, one for each of `PENALTIES`."""
-    inside, target = columns[~out], error[~out]
-    spread, axes = np.linalg.eigh(inside.T @ inside / len(target))
-    values = axes.T @ (inside.T @ target / len(target))
-    weights = values[:, None] / (np.maximum(spread, 0.0)[:, None] + PENALTIES)
-    rest = error[out, None] - (columns[out] @ axes) @ weights
-    return np.asarray(np.sum(rest**2, axis=0))
+def _held_out(columns: Array, errors: Array, out: NDArray[np.bool_]) -> Array:
+    """Return the sums of squared errors (P, S) of held-out rows, one for each of `PENALTIES`."""
+    inside, count = columns[~out], int(np.sum(~out))
+    spread, axes = np.linalg.eigh(inside.T @ inside / count)
+    values = axes.T @ (inside.T @ errors[~out] / count)
+    along = columns[out] @ axes
+    weights = 1.0 / (np.maximum(spread, 0.0) + PENALTIES[:, None])
+    return np.array(
+        [np.sum((errors[out] - along @ (w[:, None] * values)) ** 2, axis=0) for w in weights]
+    )
 
 
 STEEP = 10.0  # of the smoothed sign of another joint's velocity, relative to its top speed

@@ -137,6 +137,20 @@ class Columns:
         )
         return replace(self, joints=joints)
 
+    def of_groups(self, groups: Indices) -> Columns:
+        """Return the columns of some groups (in ascending order) alone."""
+        place = np.full(self.count, -1, dtype=np.intp)
+        kept = np.concatenate([np.zeros(0, dtype=np.intp), *map(self.of_group, groups)])
+        place[kept] = np.arange(len(kept))
+        joints = tuple(
+            JointColumns(place[own.columns[here]], own.matrix[:, here])
+            for own in self.joints
+            for here in [place[own.columns] >= 0]
+        )
+        size = self.size[groups]
+        start = np.cumsum(size) - size
+        return Columns(self.owners, self.owner[groups], self.point[groups], start, size, joints)
+
     def with_only(self, recordings: Sequence[Indices], wanted: Sequence[int]) -> Columns:
         """Return the columns, and copies of some groups that act in one recording only.
 

@@ -169,57 +169,52 @@ class MissingEffects:
             new = self._accepted(found, accepted)
             apart = self._set_apart(found)
             rounds += 1
-            fit, accepted = self._plausible([*accepted, *new], held=True)
+            fit, accepted = self._plausible([*accepted, *new])
             if rounds >= ROUNDS or not (new or apart):
-                complete = self._fitted(accepted)
-                kept = self._with_plausible_values(complete, accepted)
-                if len(kept) == len(accepted) or rounds > ROUNDS:
-                    return *self._final(complete, kept), found
-                fit, accepted = self._plausible(kept, held=True)
+                return *self._final(fit, accepted), found
             rows = Rows.of(fit, self.segments, known=self.known, before=rows)
             for columns in self.apart:
                 rows = rows.with_apart(columns)
 
     def _final(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
-        """Return the fit with all effects that the final model needs, and these effects.
-
-        They leave it one at a time, since either of two that resemble each other may be needed.
-        """
+        """Return the fit with all effects that the final model needs, and these effects."""
         while True:
-            least = self._not_needed(fit, accepted)
-            if least is None:
+            needed = self._needed(fit, accepted)
+            if len(needed) == len(accepted):
                 return fit, accepted
-            fit, accepted = self._plausible([a for a in accepted if a is not least])
+            fit, accepted = self._plausible(needed)
 
-    def _not_needed(self, fit: Fit, accepted: Sequence[Accepted]) -> Accepted | None:
-        """Return the effect whose stated fall is least, if it is too small, or undetermined.
+    def _needed(self, fit: Fit, accepted: Sequence[Accepted]) -> list[Accepted]:
+        """Return the effects whose coefficients are determined and whose stated fall is enough.
 
+        The others leave one at a time, since either of two that resemble each other may be needed.
         What differs between the recordings is part of every error; beside it, and beside a smooth
         function of its joint, which may contain it, an effect must lower the error at all.
         """
-        limit = self.options.gain_deviations
         for found in reversed(accepted):
-            if not found.determined(fit, limit):
+            if not found.determined(fit, self.options.gain_deviations):
                 self.rejected[found.placement.label] = "the data do not determine its coefficients"
-                return found
-        model, smooth = FinalModel.of(fit, self.segments, None), set[int]()
-        smooth |= {a.joint for a in accepted if a.candidate.name == SMOOTH}
-        missed = list[tuple[float, float, Accepted]]()
-        for found in accepted:
-            without = model.errors(model.columns_of([found.placement]))["cv"]
-            assert without is not None
-            fall = float(1.0 - fit.rms_cv[found.joint] / without[found.joint])
-            contained = found.candidate.name != SMOOTH and found.joint in smooth
-            least = 0.0 if self.apart or contained else self.options.worth
-            missed.append((fall - least, fall, found))
-        beyond, fall, least_one = min(missed, key=lambda each: each[0], default=(0.0, 0.0, None))
-        if least_one is None or beyond >= 0.0:
-            return None
-        self.rejected[least_one.placement.label] = (
-            "in the final model it lowers the cross-validated error by only "
-            f"{100 * max(fall, 0.0):.1f} %"
-        )
-        return least_one
+                return [a for a in accepted if a is not found]
+        model, left = FinalModel.of(fit, self.segments, None), list(accepted)
+        while left:
+            gone = [a.placement for a in accepted if a not in left]
+            complete = model.cross_validated(model.columns_of(gone))
+            smooth = {a.joint for a in left if a.candidate.name == SMOOTH}
+            falls, missed = [], []
+            for found in left:
+                without = model.cross_validated(model.columns_of([*gone, found.placement]))
+                falls.append(float(1.0 - complete[found.joint] / without[found.joint]))
+                contained = found.candidate.name != SMOOTH and found.joint in smooth
+                least = 0.0 if self.apart or contained else self.options.worth
+                missed.append(least - falls[-1])
+            worst = int(np.argmax(missed))
+            if missed[worst] <= 0.0:
+                break
+            self.rejected[left.pop(worst).placement.label] = (
+                "in the final model it lowers the cross-validated error by only "
+                f"{100 * max(falls[worst], 0.0):.1f} %"
+            )
+        return left
 
     def _accepted(self, found: Round, accepted: Sequence[Accepted]) -> list[Accepted]:
         """Return the effects of a round that pass; the reasons against the others are kept."""
@@ -270,12 +265,10 @@ class MissingEffects:
             self.apart.append(found.rows.columns.dense(slot.group))
         return len(self.apart) > before
 
-    def _plausible(
-        self, added: list[Accepted], *, held: bool = False
-    ) -> tuple[Fit, list[Accepted]]:
+    def _plausible(self, added: list[Accepted]) -> tuple[Fit, list[Accepted]]:
         """Return the fit with effects of plausible values, and these effects."""
         while True:
-            fit = self._fitted(added, held=held)
+            fit = self._fitted(added)
             kept = self._with_plausible_values(fit, added)
             if len(kept) == len(added):
                 return fit, kept
@@ -294,11 +287,8 @@ class MissingEffects:
                 self.refused.add(found.placement.label)
         return kept
 
-    def _fitted(self, added: Sequence[Accepted], *, held: bool = False) -> Fit:
-        """Return the fit of the first model with further effects, as `identify` fits it.
-
-        With ``held`` their shape parameters keep the values of the path, which takes less time.
-        """
+    def _fitted(self, added: Sequence[Accepted]) -> Fit:
+        """Return the fit of the first model with further effects, as `identify` fits it."""
         if not added:
             return self.first
         own = self.first.model
@@ -309,23 +299,10 @@ class MissingEffects:
             compiled,
             self.segments,
             method=self.method,
-            held_shapes=_held_shapes(compiled.model, added, self.first) if held else None,
-            uncertainty=not held,
             known=self.known,
             temperature_mean=self.first.temperature_mean,
             provenance=self.first.provenance,
         )
-
-
-def _held_shapes(model: Model, added: Sequence[Accepted], first: Fit) -> Array:
-    """Return the shape parameters of a first fit and of effects that were added, to be held."""
-    known, start = {a.placement.label: a.shapes for a in added}, 0
-    for placement in first.model.placements:
-        count = len(placement.effect.shapes)
-        known[placement.label] = first.shapes[start : start + count]
-        start += count
-    values = [known[p.label][: len(p.effect.shapes)] for p in model.placements]
-    return np.concatenate(values)
 
 
 def _stage(accepted: Sequence[Accepted]) -> str:

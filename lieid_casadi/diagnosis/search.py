@@ -25,6 +25,7 @@ from lieid_casadi.identification.uncertainty.noise_model import Noise, noise_of
 
 SMOOTH = Smooth.name
 REFINEMENT = (1 / 3, 2 / 3)  # positions between two grid points
+PROMISING = 0.5  # of its penalty that a group must gain to be in the paths outside held-out parts
 LEAST_RIVAL = 0.5  # of the gain of a group of the path: rivals from here are refined, too
 
 
@@ -110,15 +111,36 @@ def search(
         first = forward(paths, -1, _rules(paths.columns, rows, options))
         rest = _residual_beside(paths, first, rows, scale)
         noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
-    rules = _rules(paths.columns, rows, options, _dependence(paths.columns, noise))
+    dependence = _dependence(paths.columns, noise)
+    rules = _rules(paths.columns, rows, options, dependence)
     whole = forward(paths, -1, rules)
     folds = folds_of(rows, _residual_beside(paths, whole, rows, scale), options.folds)
-    paths = Paths(paths.span, paths.columns, folds.out)
-    parts = [forward(paths, k, rules) for k in range(folds.count)]
+    kept = _promising(paths, whole, rules)
+    few = paths.columns.of_groups(kept)
+    outside = Paths(paths.span, few, folds.out)
+    rules = _rules(few, rows, options, dependence[kept])
+    parts = [kept[list(forward(outside, k, rules))].tolist() for k in range(folds.count)]
     slots = judge(
         paths.span, paths.columns, folds, whole, parts, _late_friction(paths.span, rows, scale)
     )
     return Round(rows, scale, paths.columns, paths.span, folds, paths, slots)
+
+
+def _promising(paths: Paths, whole: Sequence[int], rules: Rules) -> NDArray[np.intp]:
+    """Return the groups that come near to their penalty beside some part of a path, and its own.
+
+    The others would not be chosen on nine tenths of the rows either.
+    """
+    state = paths.state(-1)
+    largest = state.gains()[0]
+    for group in whole:
+        state = state.with_group(group)
+        largest = np.maximum(largest, state.gains()[0])
+    for group in whole:
+        largest = np.maximum(largest, state.without(group).gains()[0])
+    near = rules.usable & (largest > PROMISING * rules.penalty)
+    near[list(whole)] = True
+    return np.flatnonzero(near)
 
 
 def _late_friction(span: Span, rows: Rows, spread: Array) -> Array:

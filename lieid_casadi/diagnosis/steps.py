@@ -366,17 +366,22 @@ class FinalModel:
         gram = np.einsum("j,jab->ab", weights, np.array(self.train))
         values[kept] = solved(gram[np.ix_(kept, kept)], gram[kept, -1])
 
+        return {
+            "train": _rms(self.train, self.counts, values),
+            "cv": self.cross_validated(without),
+            "test": None if self.test is None else _rms(self.test, self.test_counts, values),
+        }
+
+    def cross_validated(self, without: Indices) -> Array:
+        """Return the errors in motion (n,) of held-out blocks without some columns, N·m."""
+        kept = np.setdiff1d(np.arange(len(self.fit.values)), without)
+
         def estimate(factor: Factor) -> Array:
-            found = np.zeros(count)
-            r = factor.r
+            found, r = np.zeros(len(self.fit.values)), factor.r
             found[kept] = np.linalg.lstsq(r[:, kept], r[:, -1], rcond=1e-10)[0]
             return found
 
-        return {
-            "train": _rms(self.train, self.counts, values),
-            "cv": cross_validated_rms(self.folds, estimate),
-            "test": None if self.test is None else _rms(self.test, self.test_counts, values),
-        }
+        return cross_validated_rms(self.folds, estimate)
 
 
 def _products(rows: Rows) -> tuple[tuple[Array, ...], Array]:
