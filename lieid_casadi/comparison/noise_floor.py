@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.identification import Fit
@@ -34,6 +35,9 @@ BANDWIDTH = 0.5  # of the sampled band that the low-pass filter leaves: independ
 DEPENDENT = 0.8  # of the mean square error: with less on held-out blocks, the error depends on …
 FEWEST_ROWS = 2.0  # … the motion, and columns are fitted without penalty; rows per column
 LEAST_ROWS = 40  # in motion, for an estimate
+DEPENDENCE = 1e-5  # of a largest singular value
+LEAST_LEFT = 0.1  # of a band of frequencies: with less its noise is not known
+BAND = 9  # frequencies
 SHIFTS = 15  # of the error against the motion
 
 SOURCES = {
@@ -125,10 +129,29 @@ def _unexplained(columns: Array, errors: Array, fold: NDArray[np.intp]) -> Array
     # held-out errors contain the uncertainty of the columns' coefficients
     square = held_out.min(axis=0) / (1.0 + used * FOLDS / (FOLDS - 1) / independent)
     if independent > FEWEST_ROWS * scaled.shape[1]:
-        left, _, rank, _ = np.linalg.lstsq(scaled, errors, rcond=1e-5)
-        rest = np.mean((errors - scaled @ left) ** 2, axis=0) / (1.0 - rank / independent)
+        rest = _beside(scaled, errors)
         square = np.where(square < DEPENDENT * total, np.minimum(square, rest), square)
     return np.asarray(np.minimum(square / total, 1.0))
+
+
+def _beside(columns: Array, errors: Array) -> Array:
+    """Return the mean squares (S,) of noise in errors (N, S), part of which columns (N, k) take.
+
+    Least squares take a part of the noise from each band of frequencies: that which the columns'
+    span has of it.
+    """
+    axes, sizes, _ = np.linalg.svd(columns, full_matrices=False)
+    axes = axes[:, sizes > DEPENDENCE * sizes[0]]
+    rest = errors - axes @ (axes.T @ errors)
+    left = 1.0 - _in_bands(axes).sum(axis=1)
+    powers = _in_bands(rest) / np.maximum(left, LEAST_LEFT)[:, None]
+    return np.asarray(powers.sum(axis=0) / len(columns))
+
+
+def _in_bands(values: Array) -> Array:
+    """Return the mean squares (F, S) of columns (N, S) at frequencies, averaged over bands."""
+    power = np.abs(np.fft.fft(values, axis=0)) ** 2 / len(values)
+    return np.asarray(uniform_filter1d(power, BAND, axis=0, mode="wrap"))
 
 
 def _held_out(columns: Array, errors: Array, out: NDArray[np.bool_]) -> Array:

@@ -97,6 +97,18 @@ def test_noise_floor_of_white_and_coloured_noise(fit, correlation_time, missing)
     assert np.all(np.mean(ratios, axis=0) < 1.4)
 
 
+def test_slow_noise_and_uncertain_parameters_are_not_above_the_noise_floor():
+    """Of a complete model, identified and compared with noise that is correlated over 0.5 s."""
+    for seed in range(3):
+        both = [
+            arm.recording(12.0, seed=k, extra=coloured(0.5, 1.5, k, len(arm.motion(12.0)[0])))
+            for k in (2 * seed, 2 * seed + 1)
+        ]
+        unseen = lieid.compare(arm.fit(both[0]), both[1])
+        assert np.all(unseen.over_noise < 1.3), unseen.over_noise
+        assert np.all(unseen.over_noise > 0.99)
+
+
 @pytest.mark.parametrize(
     "missing",
     [
