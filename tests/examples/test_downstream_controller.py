@@ -37,12 +37,14 @@ def runs(example, tmp_path_factory):
     return runs
 
 
+@pytest.mark.slow
 def test_identified_model_tracks_ten_times_better(runs):
     before, after = runs["computed torque, nominal"], runs["computed torque, identified"]
     assert np.abs(before.error[0]).max() < 1e-5  # both start on the path
     assert after.rms() < 0.1 * before.rms()
 
 
+@pytest.mark.slow
 def test_adaptive_control_converges(runs):
     adaptive, fixed = runs["Slotine-Li, from nominal"], runs["computed torque, nominal"]
     first, last = adaptive.rms(0.0, 5.0), adaptive.rms(10.0, 15.0)
@@ -50,6 +52,7 @@ def test_adaptive_control_converges(runs):
     assert last < 0.1 * fixed.rms()
 
 
+@pytest.mark.slow
 def test_every_cycle_was_timed(runs):
     for one in runs.values():
         assert one.cycle.shape == one.t.shape

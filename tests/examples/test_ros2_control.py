@@ -43,6 +43,7 @@ def test_what_a_controller_must_withstand(built):
     assert ("1 kg at the tool" in shown) == ("presliding:2" not in fit.model.effects)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("built", ["rolling"], indirect=True)  # MuJoCo has no presliding
 def test_it_moves_an_arm_of_mujoco(built):
     """Another dynamics engine, whose dry friction is not the controller's."""

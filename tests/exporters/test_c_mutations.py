@@ -179,6 +179,7 @@ def memory_arm():
     return made_fit(lieid.robots.two_link(), "viscous,presliding:1,presliding/load:2")
 
 
+@pytest.mark.slow
 def test_self_test_notices_mutations(exported):
     folder = exported("memory", memory_arm)
     found = all_mutations(folder)

@@ -248,6 +248,7 @@ def test_workers_of_another_minor_version_are_refused_by_name(call, monkeypatch,
     assert "worker with version 9.9.0" in reason
 
 
+@pytest.mark.slow
 def test_a_judgement_uses_at_most_a_hundred_nights(tmp_path):
     def drifting(serial, k):
         return {"grown": {("coulomb.f_c", 2): 0.0008 * k}} if serial == "A1" else {}
