@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import math
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import warning_list
+from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
         shown.append(_value_table(fit))
     no_inertia = ", ".join(robot.links_without_inertia)
     notes = [] if robot.has_inertia else [f"No inertia stated for: {no_inertia}"]
-    return output.Outcome((*shown, *notes, *robot.warnings), json=_null_for_nan(content))
+    return output.Outcome((*shown, *notes, *robot.warnings), json=content)
 
 
 def _joints(robot: Robot) -> list[dict[str, Any]]:
@@ -85,10 +85,12 @@ def _joints(robot: Robot) -> list[dict[str, Any]]:
             "kind": "revolute" if joint.revolute else "prismatic",
             "screw": [float(x) + 0.0 for x in joint.screw],
             "limits": {
-                "position": [joint.limits.position_lower, joint.limits.position_upper],
-                "velocity": joint.limits.velocity,
-                "acceleration": joint.limits.acceleration,
-                "torque": joint.limits.torque,
+                "position": numbers_or_none(
+                    [joint.limits.position_lower, joint.limits.position_upper]
+                ),
+                "velocity": number_or_none(joint.limits.velocity),
+                "acceleration": number_or_none(joint.limits.acceleration),
+                "torque": number_or_none(joint.limits.torque),
             },
             "inertia": joint.link is not None,
         }
@@ -154,19 +156,7 @@ def _value_table(fit: Fit) -> Table:
     )
 
 
-def _range(low: float, high: float) -> str:
+def _range(*ends: float | None) -> str:
     """Return limits of the position as text."""
-    if math.isnan(low) and math.isnan(high):
-        return "unlimited"
-    return " … ".join("unlimited" if math.isnan(x) else f"{x:.4g}" for x in (low, high))
-
-
-def _null_for_nan(value: Any) -> Any:
-    """Return JSON content with None where a limit is not stated."""
-    if isinstance(value, float) and value != value:
-        return None
-    if isinstance(value, dict):
-        return {key: _null_for_nan(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_null_for_nan(item) for item in value]
-    return value
+    texts = ["unlimited" if end is None else f"{end:.4g}" for end in ends]
+    return " … ".join(dict.fromkeys(texts) if ends[0] is None else texts)

@@ -63,6 +63,7 @@ from lieid_casadi.workbench.session import (
 Kind = Literal["fit", "report", "c", "urdf", "mjcf"]
 Kept = TypeVar("Kept")
 QUICK_ROWS = 60_000  # rows of all recordings above which the first result is that of a part
+HELD_ROWS = 6000  # rows to fit times shape parameters, above which the first result holds these
 KEPT_RESULTS, KEPT_PREPARED = 40, 6  # of each kind; of processed recordings, which are large
 MOST_STRETCHES = 8  # of each recording in a quick fit
 LEAST_DURATION = 5.0  # s, of a stretch; the filter needs a second at each of its ends
@@ -117,9 +118,10 @@ class Computation:
     ) -> Evaluation:
         """Return the fit of a step, compared with all recordings.
 
-        A quick one holds shape parameters (those that no fit has found at ``shapes``, by label),
-        uses parts of long recordings, and leaves out what takes longer than the fit: standard
-        deviations, and the noise floor, which is that of the model before. A first model has both.
+        A quick one holds the shape parameters of long recordings (those that no fit has found at
+        ``shapes``, by label), uses parts of very long ones, and leaves out what takes longer than
+        the fit: standard deviations, and the noise floor, which is that of the model before. A
+        first model has both.
         ``processing`` is that of the fits of another process, so that all have the same filter.
         """
         self._processing = self._processing or processing
@@ -256,8 +258,11 @@ class Computation:
         if not quick or ("fit", step.key, False, False) in self._results:
             return Effort()
         thinned = self._rows > QUICK_ROWS
+        both = zip(self.inputs.recordings, self.recordings, strict=True)
+        rows = sum(len(recording) for given, recording in both if given.role == "train")
+        shapes = sum(shape.fitted for shape in Model(self.robot, step.effects).shapes)
         return Effort(
-            held=bool(Model(self.robot, step.effects).shapes) and self.inputs.mode == "missing",
+            held=self.inputs.mode == "missing" and shapes * rows > HELD_ROWS,
             thinned=thinned,
             brief=("noise", step.excluded, thinned) in self._results,
         )

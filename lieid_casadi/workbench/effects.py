@@ -318,7 +318,8 @@ def _finding(proposed: ProposedEffect, *, present: bool, changed: bool) -> Marku
     if before and after is not None:
         change = f"{100.0 * (after / before - 1.0):+.0f} %"
         errors = f"{figures(before)} → {figures(after)} N·m ({change})"
-        shown.append(part("number", errors, tip="unseen error of the joint without and with it"))
+        tip = "unseen error of the joint: with all that was found but this, and with all"
+        shown.append(part("number", errors, tip=tip))
     if proposed.selected is not None:
         chosen = "part of the searches, each without a part of the data, in which it was chosen"
         shown.append(part("number muted small", f"{100.0 * proposed.selected:.0f} %", tip=chosen))

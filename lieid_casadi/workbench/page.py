@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import zipfile
 from collections.abc import Callable
 from functools import partial
@@ -215,4 +216,6 @@ class CommandsDialog:
         self._dialog.open()
 
     def _copy(self, title: str) -> None:
-        ui.clipboard.write(self._texts[title].text)
+        # a browser may refuse; the text is in the dialog
+        text = json.dumps(self._texts[title].text)
+        ui.run_javascript(f"navigator.clipboard?.writeText({text}).catch(() => {{}})")
