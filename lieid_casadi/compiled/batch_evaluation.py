@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from lieid_casadi.compiled.kernel_source import CONSTANT_ARGUMENTS
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.compiled.library import BatchArgument, BatchPlan, Kernel, KernelCall, Runtime
 from lieid_casadi.expressions import model_functions
-from lieid_casadi.expressions.model_functions import SparseFunction
+from lieid_casadi.expressions.model_functions import ModelFunctions, SparseFunction
 
 Indices = NDArray[np.int64]
 
@@ -47,31 +48,8 @@ class MatrixLayout:
         return len(self.rows)
 
 
-class Evaluation(Protocol):
-    """A matrix function of samples, made of parts side by side."""
-
-    layout: MatrixLayout
-
-    def bind(self, values: Mapping[str, Array]) -> BoundEvaluation:
-        """Return the function on given samples.
-
-        ``values`` maps the names of arguments to arrays, (N, width) per sample or (width,) the same
-        for all; arguments without a value are zero. The arrays are not copied.
-        """
-
-
-class BoundEvaluation(Protocol):
-    """An evaluation on given samples."""
-
-    def dense(self, out: Array, threads: int) -> None:
-        """Write the matrices of all samples to ``out`` (N, rows, columns), C-contiguous."""
-
-    def columns(self, first: int, last: int, out: Array) -> None:
-        """Write value k of the layout, of samples first … last − 1, to row k of ``out``."""
-
-
 class CompiledEvaluation:
-    """Evaluation by compiled kernels; part k begins at column ``first_columns[k]``."""
+    """A matrix function of samples by compiled kernels; part k begins at ``first_columns[k]``."""
 
     def __init__(
         self,
@@ -104,12 +82,18 @@ class CompiledEvaluation:
             call.row_starts = starts.ctypes.data
         return calls
 
-    def bind(self, values: Mapping[str, Array]) -> BoundEvaluation:
-        """See `Evaluation`."""
-        return _BoundKernels(self, values)
+    def bind(self, values: Mapping[str, Array]) -> BoundKernels:
+        """Return the function on given samples.
+
+        ``values`` maps the names of arguments to arrays, (N, width) per sample or (width,) the same
+        for all; arguments without a value are zero. The arrays are not copied.
+        """
+        return BoundKernels(self, values)
 
 
-class _BoundKernels:
+class BoundKernels:
+    """Compiled kernels on given samples."""
+
     def __init__(self, evaluation: CompiledEvaluation, values: Mapping[str, Array]) -> None:
         self._evaluation, self._values = evaluation, values
         self._arguments = type(evaluation.arguments).from_buffer_copy(evaluation.arguments)
@@ -128,6 +112,7 @@ class _BoundKernels:
         self._address = ctypes.addressof(self._plan)
 
     def dense(self, out: Array, threads: int) -> None:
+        """Write the matrices of all samples to ``out`` (N, rows, columns), C-contiguous."""
         e = self._evaluation
         size, start = e.layout.shape[0] * e.layout.shape[1], _address(out)
         chunks = (len(e.offsets), _address(e.offsets), _address(e.sources))
@@ -148,6 +133,7 @@ class _BoundKernels:
             raise MemoryError
 
     def columns(self, first: int, last: int, out: Array) -> None:
+        """Write value k of the layout, of samples first … last − 1, to row k of ``out``."""
         e = self._evaluation
         step = out.strides[0] // 8
         if e.runtime.columns(self._address, first, last, _address(out), step, e.layout.count):
@@ -166,9 +152,9 @@ class MachineEvaluation:
         self.functions = functions
         self.layout, self._order = _side_by_side(functions, first_columns, shape)
 
-    def bind(self, values: Mapping[str, Array]) -> BoundEvaluation:
-        """See `Evaluation`."""
-        return _BoundMachine(self, values)
+    def bind(self, values: Mapping[str, Array]) -> BoundMachine:
+        """See `CompiledEvaluation.bind`."""
+        return BoundMachine(self, values)
 
     def values(self, values: Mapping[str, Array], first: int, last: int) -> Array:
         """Return the values (nnz, last − first) of samples first … last − 1, in their order."""
@@ -186,11 +172,14 @@ class MachineEvaluation:
         return np.concatenate(found)[self._order]
 
 
-class _BoundMachine:
+class BoundMachine:
+    """Functions of the virtual machine on given samples; see `BoundKernels`."""
+
     def __init__(self, evaluation: MachineEvaluation, values: Mapping[str, Array]) -> None:
         self._evaluation, self._values = evaluation, values
 
     def dense(self, out: Array, threads: int) -> None:
+        """See `BoundKernels.dense`."""
         layout = self._evaluation.layout
         out[...] = 0.0
         for first in range(0, len(out), BLOCK):
@@ -199,7 +188,28 @@ class _BoundMachine:
             out[first:last, layout.rows, layout.columns] = values.T
 
     def columns(self, first: int, last: int, out: Array) -> None:
+        """See `BoundKernels.columns`."""
         out[:, : last - first] = self._evaluation.values(self._values, first, last)
+
+
+Evaluation = CompiledEvaluation | MachineEvaluation
+
+
+def evaluation_of(
+    kernels: Kernels, names: Sequence[str], first_columns: Sequence[int], shape: tuple[int, int]
+) -> Evaluation:
+    """Return functions of a model side by side; by the virtual machine without a compiler."""
+    compiled = kernels.get(names) if names else None
+    if compiled is not None:
+        return CompiledEvaluation(*compiled, first_columns, shape)
+    functions = [getattr(kernels.functions, name) for name in names]
+    return MachineEvaluation(functions, first_columns, shape)
+
+
+def evaluation_of_one(name: str, sparse: SparseFunction) -> Evaluation:
+    """Return a function that is none of a model's."""
+    functions = cast(ModelFunctions, SimpleNamespace(**{name: sparse}))  # read as attributes
+    return evaluation_of(Kernels(functions), [name], [0], sparse.shape)
 
 
 def _make_arguments(names: Sequence[str], kernels: Sequence[Kernel]) -> ctypes.Array[BatchArgument]:

@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.batch_evaluation import (
     BaseBlocks,
-    CompiledEvaluation,
     Evaluation,
-    MachineEvaluation,
+    evaluation_of,
     states_along,
 )
 from lieid_casadi.compiled.kernels import Kernels
@@ -363,12 +362,8 @@ class Compiled:
             for part, first in zip(_PARTS.get(name, (name,)), first_columns, strict=True)
             if first < shape[1]  # a model without effects has no columns of theirs
         ]
-        names, first_columns = [part for part, _ in parts], tuple(first for _, first in parts)
-        compiled = self._kernels.get(names) if parts else None
-        if compiled is not None:
-            return CompiledEvaluation(*compiled, first_columns, shape)
-        functions = [getattr(self.functions, part) for part in names]
-        return MachineEvaluation(functions, first_columns, shape)
+        names, starts = [part for part, _ in parts], [first for _, first in parts]
+        return evaluation_of(self._kernels, names, starts, shape)
 
     def _extent(self, name: str) -> tuple[tuple[int, ...], tuple[int, int]]:
         """Return the first column of each part, and the whole matrix's shape."""

@@ -324,19 +324,9 @@ class Excitation:
         return self.quality.neg_log_det
 
     @property
-    def start(self) -> float:
-        """Time at which the periods of the trajectory begin, s."""
-        return 0.0
-
-    @property
-    def end(self) -> float:
-        """Time at which they end, s."""
-        return self.start + self.periods * self.trajectory.duration
-
-    @property
     def duration(self) -> float:
         """Length of the whole motion, s."""
-        return self.end
+        return self.periods * self.trajectory.duration
 
     def motion(self, rate: float | None = None) -> MotionSamples:
         """Return samples of the whole motion at a rate in Hz."""
@@ -384,8 +374,8 @@ class Excitation:
             },
             "neg_log_det": self.neg_log_det,
             "base_parameter_count": rank,
-            "start": self.start,
-            "end": self.end,
+            "start": 0.0,
+            "end": self.duration,
             "duration": self.duration,
             "periods": self.periods,
             "samples": self.samples,

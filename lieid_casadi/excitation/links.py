@@ -81,13 +81,11 @@ def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...
 
     A moving link of zero length is a ball; the last one reaches to its farthest frame.
     """
-    homes = [np.eye(4), *(joint.home for joint in robot.joints)]
-    homes.append(robot.joints[-1].home @ robot.tool)
-    steps = [np.linalg.norm(b[:3, 3] - a[:3, 3]) for a, b in pairwise(homes)]
-    size = SKELETON_RADIUS * float(np.sum(steps)) if radius is None else radius
+    homes = _frames(robot)
+    size = SKELETON_RADIUS * arm_length(robot) if radius is None else radius
     capsules = []
     for link in range(robot.n + 1):
-        end = np.linalg.solve(homes[link], homes[link + 1])[:3, 3]
+        end: Array = np.linalg.solve(homes[link], homes[link + 1])[:3, 3]
         if link == robot.n:  # the tool, or a frame beyond it
             beyond = [point for _, other, point in fixed_frames(robot) if other == link]
             end = max([end, *beyond], key=lambda point: float(np.linalg.norm(point)))
@@ -96,6 +94,17 @@ def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...
             end = end if long else np.zeros(3)
             capsules.append(Capsule(link, np.zeros(3), end, size, "line"))
     return tuple(capsules)
+
+
+def _frames(robot: Robot) -> list[Array]:
+    """Return the frames of the base, the links and the tool at q = 0, in the base frame."""
+    homes = [np.eye(4), *(joint.home for joint in robot.joints)]
+    return [*homes, homes[-1] @ robot.tool]
+
+
+def arm_length(robot: Robot) -> float:
+    """Return the length of all steps from frame to frame, m."""
+    return float(sum(np.linalg.norm(b[:3, 3] - a[:3, 3]) for a, b in pairwise(_frames(robot))))
 
 
 def _bundled(robot: Robot) -> tuple[Capsule, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise, product
+from itertools import product
 from typing import Any
 
 import coal
@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.excitation.links import Capsule, Shape
+from lieid_casadi.excitation.links import Capsule, Shape, arm_length
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.robot import Robot
 
@@ -81,21 +81,13 @@ def nearness_to_singular(robot: Robot, poses: Array) -> Array:
     """
     arm = RigidArm(robot)
     rows = 3 if robot.n <= 3 else 6
-    unit = np.array([1.0 / _length(robot)] * 3 + [1.0] * 3)[:rows, None]
+    unit = np.array([1.0 / (arm_length(robot) or 1.0)] * 3 + [1.0] * 3)[:rows, None]
     random = np.random.default_rng(0).uniform(-np.pi, np.pi, (200, robot.n))
     sizes = np.linalg.svd(unit * arm.jacobians(random)[:, :rows], compute_uv=False)
     typical = np.median(sizes, axis=0)
     rank = int(np.sum(typical > 1e-6 * typical[0]))
     own = np.linalg.svd(unit * arm.jacobians(poses)[:, :rows], compute_uv=False)
     return np.asarray(own[:, rank - 1] / max(typical[rank - 1], 1e-300))
-
-
-def _length(robot: Robot) -> float:
-    """Return the length of the arm, m: of all steps from frame to frame; 1 for a point."""
-    homes = [np.eye(4), *(joint.home for joint in robot.joints)]
-    homes.append(homes[-1] @ robot.tool)
-    steps = [np.linalg.norm(b[:3, 3] - a[:3, 3]) for a, b in pairwise(homes)]
-    return float(np.sum(steps)) or 1.0
 
 
 class ArmAlong:
@@ -108,7 +100,7 @@ class ArmAlong:
     def __init__(self, robot: Robot, motion: MotionSamples) -> None:
         self.robot, self.motion, self._arm = robot, _distinct(motion), RigidArm(robot)
         self._frames: dict[int, Array] = {}
-        length = _length(robot) + float(np.linalg.norm(self._arm.offsets, axis=1).sum())
+        length = (arm_length(robot) or 1.0) + float(np.linalg.norm(self._arm.offsets, axis=1).sum())
         slides = ~np.array([joint.revolute for joint in robot.joints])
         # no point of the arm is farther from the axis of a joint
         self._reach = length + float(np.abs(motion.q[:, slides]).max(axis=0).sum())

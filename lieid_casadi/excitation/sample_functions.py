@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Protocol, cast
 
 import casadi as ca
@@ -12,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation, Evaluation, MachineEvaluation
-from lieid_casadi.compiled.kernels import Kernels
+from lieid_casadi.compiled.batch_evaluation import evaluation_of_one
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.trajectory import MotionSamples
-from lieid_casadi.expressions.model_functions import ModelFunctions, sparse_function
+from lieid_casadi.expressions.model_functions import sparse_function
 from lieid_casadi.expressions.symbolic import FittedModel
 from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.model import Model, as_model
@@ -46,9 +44,8 @@ class SampleKernel:
             "ddq": symbols.ddq,
             **(further or {}),
         }
-        self._sparse = sparse_function(name, list(inputs.values()), list(inputs), matrix)
-        self._name = name
-        self._evaluation = self._make_evaluation()
+        sparse = sparse_function(name, list(inputs.values()), list(inputs), matrix)
+        self._evaluation = evaluation_of_one(name, sparse)
 
     @property
     def rows(self) -> NDArray[np.int64]:
@@ -63,7 +60,7 @@ class SampleKernel:
     @property
     def shape(self) -> tuple[int, int]:
         """Shape of the matrix."""
-        return self._sparse.shape
+        return self._evaluation.layout.shape
 
     def values(self, motion: MotionSamples, **further: Array) -> Array:
         """Return the values (nnz, N) at every sample."""
@@ -78,14 +75,6 @@ class SampleKernel:
         out = np.zeros((*self.shape, len(motion)))
         out[self.rows, self.columns] = self.values(motion, **further)
         return out
-
-    def _make_evaluation(self) -> Evaluation:
-        # Kernels reads its functions as attributes
-        functions = cast(ModelFunctions, SimpleNamespace(**{self._name: self._sparse}))
-        compiled = Kernels(functions).get([self._name])
-        if compiled is not None:
-            return CompiledEvaluation(*compiled, (0,), self._sparse.shape)
-        return MachineEvaluation([self._sparse], (0,), self._sparse.shape)
 
 
 def reverse_derivative(values: ca.SX, seed: ca.SX, symbols: Motion) -> ca.SX:

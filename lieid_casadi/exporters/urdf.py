@@ -29,7 +29,7 @@ from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axe
 from lieid_casadi.messages import joints_text
 from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.description import STANDARD_GRAVITY
-from lieid_casadi.robot.geometry import pose, roll_pitch_yaw
+from lieid_casadi.robot.geometry import pose, relative, roll_pitch_yaw
 from lieid_casadi.robot.inertia import (
     body_inertia,
     link_parameters,
@@ -364,19 +364,15 @@ def written_urdf(
         back[:3, 3] = -shift[:3, 3]
         frame = np.asarray(joint.home @ shift)
         lines += _link(names[i + 1], parameter_transport(back) @ body)
-        lines += _joint(joint, _relative_pose(before, frame), names[i : i + 2], friction)
+        lines += _joint(joint, relative(before, frame), names[i : i + 2], friction)
         before = frame
         if np.any(shift[:3, 3]):
             notes.append(f"{names[i + 1]}: its frame was moved onto the axis of {joint.name}")
-    tool = _relative_pose(before, robot.joints[-1].home @ robot.tool)
+    tool = relative(before, robot.joints[-1].home @ robot.tool)
     lines += [f"  <link name={attribute(names[-1])}/>"]
     lines += [f'  <joint name={attribute(names[-1] + "_joint")} type="fixed">']
     lines += [*_between(tool, names[-2:]), "  </joint>", "</robot>", ""]
     return "\n".join(lines), notes
-
-
-def _relative_pose(frame: Array, pose: Array) -> Array:
-    return np.asarray(np.linalg.solve(frame, pose))
 
 
 def _point_on_axis(joint: Joint) -> Array:

@@ -11,13 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.compiled.batch_evaluation import (
-    CompiledEvaluation,
-    Evaluation,
-    MachineEvaluation,
-)
+from lieid_casadi.compiled.batch_evaluation import Evaluation, evaluation_of_one
 from lieid_casadi.compiled.compiled_model import default_threads
-from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.model_functions import SparseFunction
 from lieid_casadi.identification.fit import Fit
@@ -143,13 +138,6 @@ class _Step:
         return hash(self._key())
 
 
-class _StepFunctions:
-    """What `Kernels` compiles: the step as a matrix function of samples."""
-
-    def __init__(self, step: SparseFunction) -> None:
-        self.step = step
-
-
 @lru_cache(maxsize=STEPS_KEPT)
 def _evaluation(step: _Step) -> Evaluation:
     """Return the compiled step, or the virtual machine's without a compiler."""
@@ -157,11 +145,7 @@ def _evaluation(step: _Step) -> Evaluation:
     function = step_function(step.fit, drives, parametric=True)
     size = function.size1_out(0)
     rows, columns = np.arange(size), np.zeros(size, dtype=np.intp)
-    sparse = SparseFunction(function, rows, columns, (size, 1))
-    compiled = Kernels(_StepFunctions(sparse)).get(["step"])  # type: ignore[arg-type]
-    if compiled is None:
-        return MachineEvaluation([sparse], (0,), (size, 1))
-    return CompiledEvaluation(*compiled, (0,), (size, 1))
+    return evaluation_of_one("step", SparseFunction(function, rows, columns, (size, 1)))
 
 
 @dataclass(frozen=True, eq=False)
