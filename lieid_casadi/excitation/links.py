@@ -85,7 +85,7 @@ def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...
     size = SKELETON_RADIUS * arm_length(robot) if radius is None else radius
     capsules = []
     for link in range(robot.n + 1):
-        end: Array = np.linalg.solve(homes[link], homes[link + 1])[:3, 3]
+        end = np.array(np.linalg.solve(homes[link], homes[link + 1])[:3, 3], dtype=np.float64)
         if link == robot.n:  # the tool, or a frame beyond it
             beyond = [point for _, other, point in fixed_frames(robot) if other == link]
             end = max([end, *beyond], key=lambda point: float(np.linalg.norm(point)))
