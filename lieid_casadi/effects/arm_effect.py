@@ -65,6 +65,10 @@ class SegmentModel(Protocol):
         """Commanded position (K, n), rad, None without commands."""
 
     @property
+    def hold(self) -> float:
+        """Interval between rows of the recording, for which a command is held, s."""
+
+    @property
     def drives(self) -> Sequence[Drive] | None:
         """Control laws of the joints (n), None without."""
 

@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient, increased_or_decreased
@@ -16,6 +17,22 @@ BUS, BUS_SPREAD = 0.005, 0.02  # s, what bus and drive add to the hold of a comm
 def known_delay(rate: float, drive: Drive | None) -> tuple[float, float]:
     """Return mean and standard deviation of a delay, s, of commands that are held at a rate, Hz."""
     return 0.5 / rate + BUS, BUS_SPREAD
+
+
+def held_and_late(t: Array, command: Array, delay: float, hold: float) -> Array:
+    """Return commands (K,) that are held for a time, s, as their mean over it is late by a delay.
+
+    Below half of the rate, a signal that is held from sample to sample is the mean of the smooth
+    one over the time before: interpolating the samples between two rows would make it smaller.
+    """
+    spline = CubicSpline(t, command).antiderivative()
+
+    def integral(at: Array) -> Array:
+        inside = np.clip(at, t[0], t[-1])
+        return np.asarray(spline(inside) + (at - inside) * np.where(at < t[0], *command[[0, -1]]))
+
+    ends = (integral(t - delay + 0.5 * side * hold) for side in (1.0, -1.0))
+    return np.asarray(np.subtract(*ends) / hold)
 
 
 @register
@@ -55,6 +72,6 @@ class CommandDelay(ArmEffect):
         assert arm.drives is not None
         q, dq, law = arm.motion[0][:, joint], arm.motion[1][:, joint], arm.drives[joint]
         command, delay = arm.command[:, joint], max(float(values[0]), LEAST)
-        late = np.interp(arm.t - delay, arm.t, command)
+        late = held_and_late(arm.t, command, delay, min(arm.hold, 2.0 * delay))
         change = law.torque(command - q, dq) - law.torque(late - q, dq)
         return on_joint(change / delay, joint, arm.load.shape[1])

@@ -105,8 +105,6 @@ def notes_of(fit: Fit, friction: Sequence[LinearFriction], plays: Sequence[Play]
             "the drive stiffness K is unknown: masses, inertias and torques are divided by it, "
             "and kp is 1; motion under commands is the same, forces are not in N"
         )
-    if robot.drives is None and any(np.isnan(robot.limit("torque"))):
-        notes.append("no torque limits are stated: the range of the motors is not limited")
     return notes
 
 
@@ -146,6 +144,8 @@ def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
     for j, joint in enumerate(robot.joints):
         _add_actuator(actuators, joint, joints[j], actuator_law(fit, j))
     notes = notes_of(fit, friction, plays_of(fit))
+    if robot.drives is None and any(np.isnan(robot.limit("torque"))):
+        notes.append("no torque limits are stated: the range of the motors is not limited")
     ElementTree.indent(root)
     head = HEAD.format(
         robot=comment(robot.name),

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import RecordingError
@@ -111,9 +112,9 @@ def is_torque_of_laws(measurement: Measurement, drives: Sequence[Drive]) -> bool
 
 
 def _differences(t: Array, q: Array) -> Array:
-    """Return velocities (N, n), none of them across a gap."""
+    """Return velocities (N, n), none of them across a gap, by cubic splines."""
     parts = [
-        np.gradient(q[a:b], t[a:b], axis=0) if b - a > 1 else np.zeros_like(q[a:b])
+        CubicSpline(t[a:b], q[a:b], axis=0)(t[a:b], 1) if b - a > 1 else np.zeros_like(q[a:b])
         for a, b in pairwise(segment_edges(t))
     ]
     return np.concatenate(parts)

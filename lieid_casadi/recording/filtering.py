@@ -50,6 +50,24 @@ def central_difference(x: Array, rate: float) -> Array:
     return np.asarray(np.gradient(x, 1.0 / rate, axis=0, edge_order=2), dtype=np.float64)
 
 
+SIXTH_ORDER = (45 / 60, -9 / 60, 1 / 60)  # weights of the differences over 2, 4 and 6 samples
+
+
+def sixth_order_difference(x: Array, rate: float) -> Array:
+    """Return the derivative along axis 0 of uniform samples, of sixth order but at the ends.
+
+    At 50 Hz a difference over two samples takes 0.4 % from motion of 1.2 Hz, and twice that from
+    its acceleration.
+    """
+    derivative, inner = central_difference(x, rate), len(x) - 6
+    if inner > 0:
+        derivative[3:-3] = rate * sum(
+            weight * (x[3 + k : 3 + k + inner] - x[3 - k : 3 - k + inner])
+            for k, weight in enumerate(SIXTH_ORDER, start=1)
+        )
+    return derivative
+
+
 def uniform_time(t: Array, rate: float) -> Array:
     """Return uniform instants from the first stamp to the last, nearest to the rate."""
     return np.linspace(t[0], t[-1], uniform_count(t, rate))

@@ -8,7 +8,13 @@ import numpy as np
 from scipy.ndimage import binary_opening
 
 from lieid_casadi.arrays import Array, Mask
-from lieid_casadi.recording.filtering import central_difference, decimate, lowpass, smooth_at
+from lieid_casadi.recording.filtering import (
+    central_difference,
+    decimate,
+    lowpass,
+    sixth_order_difference,
+    smooth_at,
+)
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.spectrum import noise_dead_zone, noise_spread, resolution
 
@@ -44,7 +50,9 @@ def motion_at(part: Recording, times: Array, cutoff: float) -> Motion:
     rate = (times.size - 1) / float(times[-1] - times[0])
     band = max(MOTION_BAND * cutoff, LEAST_BAND)
     q = smooth_at(part.t, part.q, times)
-    derivative = central_difference(q, rate)
+    # commands are recorded at low rates, and their torque is as exact as the positions
+    difference = central_difference if part.command is None else sixth_order_difference
+    derivative = difference(q, rate)
     dead_zone = _derivative_dead_zone(q, derivative, rate, band)
     velocity, for_acceleration = derivative, None
     if part.dq is not None:
@@ -67,9 +75,9 @@ def motion_at(part: Recording, times: Array, cutoff: float) -> Motion:
     if part.ddq is not None:
         ddq = lowpass(smooth_at(part.t, part.ddq, times), rate, band)
     elif for_acceleration is None:
-        ddq = central_difference(dq, rate)
+        ddq = difference(dq, rate)
     else:
-        ddq = central_difference(lowpass(for_acceleration, rate, band), rate)
+        ddq = difference(lowpass(for_acceleration, rate, band), rate)
     moving = _moving(dq, dead_zone, rate)
     return Motion(lowpass(q, rate, band), np.where(moving, dq, 0.0), ddq, moving, dead_zone)
 

@@ -10,11 +10,13 @@ from drives.commanded import LAWS, TWO_LINK, commanded, measured
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.effects.backlash import place_in_play
+from lieid_casadi.effects.command_delay import held_and_late
 from lieid_casadi.effects.registry import make
 from lieid_casadi.errors import BoundWarning, EffectError
 from lieid_casadi.identification.identify import default_effects
 from lieid_casadi.identification.regression.variable_projection import command_error_range
 from lieid_casadi.recording import process
+from lieid_casadi.recording.filtering import lowpass
 
 ROBOT = TWO_LINK.with_drives(LAWS)
 BASE = "coulomb,viscous,offset"
@@ -28,6 +30,26 @@ def delayed(recording, joint=1):
     command = recording.command.copy()
     command[:, joint] = np.interp(recording.t + DELAY, recording.t, command[:, joint])
     return replace(recording, command=command)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.013])
+def test_held_commands_are_those_of_a_staircase(late):
+    """The staircase, low-passed as a continuous signal, at the rows of a 50 Hz recording."""
+    hold, fine = 0.02, 40
+    t = np.arange(0.0, 12.0, hold / fine)
+    command = np.sin(2.0 * np.pi * 2.0 * t[::fine]) + 0.5 * np.sin(2.0 * np.pi * 0.7 * t[::fine])
+    # at a step the mean of both of its sides
+    rows = [np.maximum(np.floor((t - late) / hold + e).astype(int), 0) for e in (1e-6, -1e-6)]
+    stairs = 0.5 * (command[rows[0]] + command[rows[1]])
+    acting = lowpass(stairs[:, None], 1.0 / (t[1] - t[0]), 8.0)[::fine, 0]
+    found = held_and_late(t[::fine], command, 0.5 * hold + late, hold)
+    straight = np.interp(t[::fine] - 0.5 * hold - late, t[::fine], command)
+    inner = slice(50, -50)
+    errors = [
+        np.abs(lowpass(x[:, None], 1.0 / hold, 8.0)[:, 0] - acting)[inner].max()
+        for x in (found, straight)
+    ]
+    assert errors[0] < 2e-4 < 1e-3 < errors[1]
 
 
 def with_deadband(recording, joint=1):

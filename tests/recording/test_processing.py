@@ -390,6 +390,16 @@ def test_the_measured_velocity_is_kept_where_samples_are_far_apart():
         np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+def test_acceleration_under_commands_is_not_too_small_at_a_low_rate():
+    """Differences over two samples take 1 % from the acceleration of 1.4 Hz at 50 Hz."""
+    t = np.arange(0.0, 20.0, 0.02)
+    w = 2.0 * np.pi * 1.4
+    q = np.column_stack([np.sin(w * t), np.cos(w * t)])
+    (p,) = process(Recording.from_arrays(t, q, tau=q, command=q), Processing(cutoff=5.0))
+    inner = slice(50, -50)
+    np.testing.assert_allclose(p.ddq[inner], -(w**2) * p.q[inner], atol=1e-3 * w**2)
+
+
 def test_dead_zone_of_a_derivative_is_that_of_the_filtered_one():
     """A count per sample is no noise: the filter lets little of it through."""
     fine = bare(at_rate(1000, noise=0.0, quantum=COUNT))

@@ -87,6 +87,11 @@ class ModelAlongSegment:
         return self.segment.command
 
     @property
+    def hold(self) -> float:
+        """Interval between rows of the recording, for which a command is held, s."""
+        return 1.0 / self.segment.recording.rate
+
+    @property
     def drives(self) -> tuple[Drive, ...] | None:
         """Control laws of the joints (n), None without."""
         return self.compiled.model.robot.drives
