@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import motion_limits, output
+from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.excite import INTERRUPTED
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
             fit, args.effects, sizes=sizes,
             level=args.level, duration=args.duration, harmonics=args.harmonics,
             start_pose=args.start_pose or None, acceleration=args.acceleration or None,
-            margin=args.margin, limits=motion_limits.limits_of(args, fit.model.robot),
+            margin=args.margin, limits=inputs.limits_of(args, fit.model.robot),
             rate=args.rate, evaluations=args.evaluations, seed=args.seed, progress=report,
         )  # fmt: skip
     return output.Outcome(

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import motion_limits, output
+from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.tables import make_table
 
@@ -53,8 +53,8 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.excitation import excite
 
     folder = Path(args.output)
-    arm, robot = motion_limits.arm_of(args)
-    limits = motion_limits.limits_of(args, robot)
+    arm, robot = inputs.arm_of(args)
+    limits = inputs.limits_of(args, robot)
     if args.friction_sweep:
         return _sweep(args, arm, limits, folder)
     with output.progress("excite") as report:

@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lieid_casadi.cli import inputs, motion_limits, output
+from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import NoSolution, UsageError
 
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
             confirm=None if args.yes else _confirmed, load=load,
             despite_check=args.despite_check, start_pose=args.start_pose or None,
             acceleration=args.acceleration or None, margin=args.margin,
-            limits=motion_limits.limits_of(args, robot), longest=args.longest, probe=args.probe,
+            limits=inputs.limits_of(args, robot), longest=args.longest, probe=args.probe,
             rate=args.rate, seed=args.seed, progress=report,
         )  # fmt: skip
     if result.stopped == "record_failed":

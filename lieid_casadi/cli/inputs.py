@@ -1,4 +1,4 @@
-"""What the options of a command name: the robot, the model, the fit and the recordings."""
+"""What the options of a command name: robot, model, fit, recordings, limits, own effects."""
 
 from __future__ import annotations
 
@@ -11,14 +11,48 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output
+from lieid_casadi.cli.options import given
 from lieid_casadi.errors import RecordingError, UsageError
 
 if TYPE_CHECKING:
+    from lieid_casadi.excitation.limits import Limit
     from lieid_casadi.identification import Fit
     from lieid_casadi.model import Model
     from lieid_casadi.premises import Correction
     from lieid_casadi.recording import Processing, Recording
     from lieid_casadi.robot import Drive, Robot
+
+
+def load_effects_file(path: str | None) -> None:
+    """Run the user's own Python file, which registers effects."""
+    if path is None:
+        return
+    import runpy
+
+    if not Path(path).is_file():
+        raise UsageError(f"{path}: no such file; --effects-file expects your own Python file")
+    try:
+        runpy.run_path(path)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit too, and what others derive from it
+        raise UsageError(exception_in(path, error) or f"{path}: {error}") from error
+
+
+def exception_in(path: str, error: BaseException) -> str | None:
+    """Return text that names the line of a file where an exception was raised, if it was there."""
+    import traceback
+
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename == path
+    ]
+    if isinstance(error, SyntaxError) and error.filename == path:
+        lines.append(error.lineno)
+    if not lines:
+        return None
+    return f"{path}, line {lines[-1]}: {type(error).__name__}: {error}"
 
 
 def is_fit(args: argparse.Namespace) -> bool:
@@ -281,3 +315,53 @@ def _require_drive_law(recording: Recording) -> None:
             "without a drive law; expected --stiffness K1,…,Kn, --servo NAME, --stiffness unknown, "
             "or drive: in the robot's YAML file"
         )
+
+
+def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
+    """Return the default limits with the changes that the options specify."""
+    from lieid_casadi.excitation import (
+        Obstacle,
+        Torque,
+        Wall,
+        capsules_of,
+        default_limits,
+        jerk_limit,
+        load_capsules,
+        workspace_box,
+    )
+
+    workspace = not args.unchecked_workspace
+    links: Any = ()
+    if args.capsules is not None:
+        links = load_capsules(args.capsules, robot)
+    elif workspace or args.wall or args.workspace_box or args.obstacle:
+        links = capsules_of(robot)
+    defaults = default_limits(
+        robot,
+        margin=args.margin,
+        capsules=links,
+        floor_height=args.floor if workspace else None,
+        cartesian_speed=args.cartesian_speed if workspace else None,
+        clearance=args.self_collision if workspace else None,
+    )
+    limits = [x for x in defaults if not (args.no_torque and isinstance(x, Torque))]
+    if args.jerk:
+        limits.append(jerk_limit(args.jerk if len(args.jerk) > 1 else args.jerk[0]))
+    limits += [Wall((x, y, z), d, capsules=links) for x, y, z, d in args.wall]
+    for corners in args.workspace_box:
+        limits += workspace_box(corners[:3], corners[3:], capsules=links)
+    limits += [Obstacle(tuple(c[:3]), tuple(c[3:]), capsules=links) for c in args.obstacle]
+    return limits
+
+
+def arm_of(args: argparse.Namespace) -> tuple[Model | Fit, Robot]:
+    """Return the fit that ROBOT|FIT names, or the model of a robot with --effects; its robot."""
+    if not is_fit(args):
+        model = model_of(args)
+        return model, model.robot
+    from lieid_casadi.identification import Fit
+
+    if names := given("@EFFECTS @TIP_AND_LOCK", args):
+        raise UsageError(f"{next(iter(names))}: a fit ({args.robot}) has its own robot and effects")
+    fit = Fit.load(args.robot)
+    return fit, fit.model.robot

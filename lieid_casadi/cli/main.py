@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from lieid_casadi import __version__
-from lieid_casadi.cli import effects_file
+from lieid_casadi.cli import inputs
 from lieid_casadi.cli.option_types import check_paths, writes_to_stdout
 from lieid_casadi.cli.options import COMMANDS, Command
 from lieid_casadi.cli.output import Outcome, visible
@@ -116,7 +116,7 @@ def _open_streams() -> None:
 
 def _run(args: argparse.Namespace) -> int:
     """Load the user's effects, run the command, write its files and print; return its status."""
-    effects_file.load(getattr(args, "effects_file", None))
+    inputs.load_effects_file(getattr(args, "effects_file", None))
     outcome = args.run(args)
     return outcome.finish(args) if isinstance(outcome, Outcome) else int(outcome or DONE)
 
@@ -166,7 +166,7 @@ def _status(args: argparse.Namespace, error: Exception) -> int:
         place = "" if error.filename is None else f"{error.filename}: "
         _say(f"lieid {command}: {place}{error.strerror or text}")
         return BAD_INPUT
-    if own_code is not None and (line := effects_file.exception_in(own_code, error)):
+    if own_code is not None and (line := inputs.exception_in(own_code, error)):
         _say(f"lieid {command}: {' '.join(line.split())}")
         return BAD_INPUT
     _say(f"lieid {command}: internal error: {type(error).__name__}: {text} (--debug shows where)")

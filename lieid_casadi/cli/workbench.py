@@ -6,7 +6,7 @@ import argparse
 import functools
 from typing import TYPE_CHECKING, NoReturn
 
-from lieid_casadi.cli import effects_file, inputs, options, output
+from lieid_casadi.cli import inputs, options, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> None:
     from lieid_casadi.workbench.session import WorkerSetup
 
     setup = WorkerSetup(
-        prepare=functools.partial(effects_file.load, args.effects_file),
+        prepare=functools.partial(inputs.load_effects_file, args.effects_file),
         robot=load_robot,
         read=read_recordings,
     )

@@ -10,7 +10,7 @@ import yaml
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.cli import motion_limits
+from lieid_casadi.cli import inputs
 from lieid_casadi.cli.main import main
 
 KEYS = {
@@ -169,7 +169,7 @@ def test_limits_of_the_options(options, expected):
     from lieid_casadi.cli.main import build_parser
 
     arguments = build_parser().parse_args(["excite", "panda", "-o", "x", *options])
-    limits = motion_limits.limits_of(arguments, lieid.robots.panda())
+    limits = inputs.limits_of(arguments, lieid.robots.panda())
     assert [type(limit).__name__ for limit in limits] == expected
     assert limits[0].fraction == 0.8
 
