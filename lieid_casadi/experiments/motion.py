@@ -183,7 +183,7 @@ class MotionDesign:
     def _first_excitation(
         self, found: Fit | None, recordings: Sequence[Recording], number: int, progress: Progress
     ) -> tuple[MotionSamples, str, float]:
-        """Return the excitation that is expected to show most per second, and what it is worth.
+        """Return the excitation that is expected to show most per second, and its value per second.
 
         A long motion and a short one are compared; without a recording it is the long one.
         Recordings of little motion cannot bound the torque of larger motion: ``found`` is not used
