@@ -57,6 +57,8 @@ PREMISES = (
     "torque_from_model", "time_offset", "velocity_signal", "angle_wrapped", "spikes",
     "held_samples", "clipped", "robot_mismatch", "same_motion",
 )  # fmt: skip
+#: Those that are tested without any fit.
+SAMPLES_ALONE = ("time_unit", "angle_wrapped", "spikes", "held_samples", "clipped")
 
 
 @blas_on_one_thread
@@ -107,6 +109,10 @@ def check(
     report("samples", 0.0)
     state = _State.of(arm, given)
     findings = list(state.findings)
+    constant = samples.constant_torque(state.recordings)
+    if constant is not None:
+        why = tuple((p, "a torque is constant") for p in PREMISES if p not in SAMPLES_ALONE)
+        return PremiseCheck((*findings, constant), SAMPLES_ALONE, why)
     report("velocity", 0.1)
     findings += _velocity(state)
     corrected: list[tuple[Finding, Correction]] = []

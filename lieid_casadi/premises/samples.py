@@ -6,6 +6,8 @@ here; recordings made from arrays are repaired for the test.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
@@ -69,6 +71,22 @@ def _held(recording: Recording) -> list[Finding]:
             "record at the rate of the positions, or leave the repeated rows out",
         )
     ]  # fmt: skip
+
+
+def constant_torque(recordings: Sequence[Recording]) -> Finding | None:
+    """Return the joints whose torque is the same in all rows, so that no fit shows anything."""
+    tau = np.concatenate([np.asarray(r.tau) for r in recordings])
+    constant = np.ptp(tau, axis=0) == 0.0
+    if not constant.any():
+        return None
+    return Finding(
+        "clipped",
+        tuple(np.flatnonzero(constant)[:3].tolist()),
+        {"samples": len(tau)},
+        f"The torque of {joints_text(constant)} is the same in all {len(tau)} rows: it was not "
+        "recorded, and nothing else can be checked.",
+        "record the torque of every joint",
+    )
 
 
 def _clipped(recording: Recording) -> list[Finding]:

@@ -200,7 +200,8 @@ def process(
             else:
                 done.append(_process_segment(segment, options, cutoff))
     if not done:
-        raise RecordingError(str(short[0]))
+        parts = f"; {len(short)} parts between gaps in time are: check the stamps"
+        raise RecordingError(f"{short[0]}{parts if len(short) > len(given) else ''}")
     if short:
         done[0] = replace(done[0], warnings=(*done[0].warnings, *short))
     return tuple(done)

@@ -184,6 +184,14 @@ def test_damaged_samples(run):
     assert {"spikes", "angle_wrapped"} <= premises
 
 
+def test_a_torque_that_was_not_recorded_hides_the_rest(run):
+    found = lieid.check(ROBOT, replace(run, tau=run.tau * [1, 1, 0, 1, 1, 1]))
+    (first,) = found.findings
+    assert (found.verdict, first.premise, first.joints) == ("doubtful", "clipped", (2,))
+    assert "not recorded" in first.sentence
+    assert "joint_order" in dict(found.not_checkable)
+
+
 def test_what_a_check_needs(run):
     with pytest.raises(lieid.LieidError, match="no torque"):
         lieid.check(ROBOT, replace(run, tau=None))

@@ -51,6 +51,8 @@ def assert_same(read, run):
         ("t", "q_{k}", "dq_{k}", "tau_J_{k}"),
         ("time", "{name}/position", "{name}/velocity", "{name}/effort"),
         ("t", "joint{j}Position", "joint{j}Velocity", "joint{j}Torque"),
+        ("__time", "/joint_states/{name}/position", "/states/{name}/velocity", "/{name}/effort"),
+        ("%time", "field.position{k}", "field.velocity{k}", "field.effort{k}"),
     ],
 )
 def test_names_of_recorders_are_read_and_said(run, tmp_path, names, suffix):
@@ -62,6 +64,15 @@ def test_names_of_recorders_are_read_and_said(run, tmp_path, names, suffix):
     (warning,) = read.warnings
     assert isinstance(warning, ColumnNamesWarning)
     assert "dq1 = " in str(warning)
+
+
+def test_units_of_the_format_behind_names(run, tmp_path):
+    names = ("t [s]", "q{j} [rad]", "dq{j} (rad/s)", "tau{j} [Nm]")
+    signals = (run.t, run.q, run.dq, run.tau)
+    assert_same(Recording.load(written(run, tmp_path, dict(zip(names, signals, strict=True)))), run)
+    other = {"t [s]": run.t, "q{j} [deg]": run.q}
+    with pytest.raises(RecordingError, match=r"--columns NAME=COLUMN"):
+        Recording.load(written(run, tmp_path, other))
 
 
 def test_joint_names_give_the_order_of_the_robot(run, tmp_path):

@@ -33,15 +33,18 @@ WORDS = {
     "q": {"q", "position", "positions", "pos", "angle"},
     "dq": {"dq", "qd", "velocity", "velocities", "vel"},
     "ddq": {"ddq", "qdd", "acceleration", "accelerations", "acc"},
-    "tau": {"tau", "effort", "efforts", "torque", "torques"},
+    "tau": {"tau", "effort", "efforts", "torque", "torques", "moment", "moments"},
     "i": {"i", "current", "currents"},
     "temp": {"temp", "temperature", "temperatures"},
 }
-TIMES = ("t", "time", "timestamp", "stamp", "time_s", "seconds")
+TIMES = ("t", "time", "timestamp", "stamp", "time_s", "seconds", "__time", "%time")
+#: A unit of the file format behind a name, as in ``q1 [rad]``.
+SI_UNIT = re.compile(r"\s*[\[(](s|rad|rad/s|rad/s\^?2|rad/s²|N\s?[·.*]?m|A|°C)[\])]$")
 #: Words of commanded signals, of which only positions are used.
 COMMANDED = {"target", "desired", "command", "commanded", "cmd", "goal", "reference", "ref", "d"}
-#: Words of other quantities of a joint.
+#: Words of other quantities of a joint, and of other units.
 OTHERS = {"ext", "external", "error", "std", "filtered", "hat", "tcp", "limit", "min", "max"}
+OTHERS |= {"deg", "degree", "degrees", "rpm", "rev", "mm", "ma", "nmm"}
 
 _NAME = re.compile(r"t|load|(?:q|dq|ddq|tau|temp|i|qcmd)(?:[1-9][0-9]{0,5})?")
 
@@ -85,6 +88,7 @@ def signal_names(
     names = [name.strip() for name in header]
     if columns:
         return _stated(names, where, columns), ()
+    names = [SI_UNIT.sub("", name) for name in names]
     if "t" in names and ("q1" in names or "q" in names):
         return names, ()
     found = _known(names, joint_names or ())
@@ -207,7 +211,7 @@ def read_layout(header: Sequence[str], where: str, n: int | None = None) -> Colu
             if joint == 0 or match[2][0] == "0":
                 raise RecordingError(f"{where}: found column {name!r}, expected joints from 1")
             numbered.setdefault(match[1], {})[joint] = index
-        elif name not in ("t", LABEL):
+        elif name not in ("t", LABEL, ""):  # indices of tables have no name
             unknown.append(name)
     joints = _count_joints(numbered, where, n)
     fields = {
@@ -223,7 +227,8 @@ def _count_joints(numbered: dict[str, dict[int, int]], where: str, n: int | None
         raise RecordingError(f"{where}: no column q1, expected {EXPECTED}; {REMEDY}")
     count = max(max(indices) for indices in numbered.values())
     if n is not None and max(numbered["q"]) == len(numbered["q"]) == count != n:
-        raise RecordingError(f"{where}: found {count} joints (q1…q{count}), expected {n}")
+        remark = "; delete the columns of joints that the robot does not have" if count > n else ""
+        raise RecordingError(f"{where}: found {count} joints (q1…q{count}), expected {n}{remark}")
     for prefix, indices in numbered.items():
         for joint in range(1, count + 1):
             if joint not in indices:

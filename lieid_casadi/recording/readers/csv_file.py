@@ -208,9 +208,14 @@ def _locate(file: Path, header: list[str], layout: ColumnLayout, limit: int) -> 
             return RecordingError(f"{where}: found damaged quotes, expected a CSV")
         for index, cell in enumerate(cells[: len(header)]):
             if index in numeric and not _is_number(cell):
-                found = shortened(cell.strip()) if cell.strip() else "an empty cell"
+                found, expected = shortened(cell.strip()), "a number"
+                if not cell.strip():
+                    found = "an empty cell"
+                    expected += "; delete the rows or columns without a measurement"
+                elif index == layout.time:
+                    expected += ", the time in seconds"
                 return RecordingError(
-                    f"{where}, column {header[index]}: found {found}, expected a number"
+                    f"{where}, column {header[index]}: found {found}, expected {expected}"
                 )
         if len(cells) != len(header):
             column = header[min(len(cells), len(header) - 1)]
