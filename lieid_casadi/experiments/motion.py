@@ -183,11 +183,11 @@ class MotionDesign:
     def _first_excitation(
         self, found: Fit | None, recordings: Sequence[Recording], number: int, progress: Progress
     ) -> tuple[MotionSamples, str, float]:
-        """Return the excitation that is expected to show most per second, and its value per second.
+        """Return the excitation that is expected to show most per second, and its `precision_gain`.
 
-        A long motion and a short one are compared; without a recording it is the long one.
-        Recordings of little motion cannot bound the torque of larger motion: ``found`` is not used
-        for the limits.
+        The gain is that over the recordings, second by second. A long motion and a short one are
+        compared; without a recording it is the long one. Recordings of little motion cannot bound
+        the torque of larger motion: ``found`` is not used for the limits.
         """
         if found is None:
             return *self._exciting(self.fit, number, "combined", progress), np.inf
