@@ -9,7 +9,6 @@ from lieid_casadi.effects.registry import REGISTER, make
 
 MOST_RIVALS = 3  # named in a sentence; the JSON has all
 MOST_LISTED = 3  # values in a list; of more the range is stated
-LEAST_SELECTED = 0.8  # below it a sentence states how often an effect was selected
 
 
 def findings(steps: Sequence[Step], mode: str = "missing") -> list[list[Step]]:
@@ -133,7 +132,7 @@ def _rivals(steps: Sequence[Step]) -> str:
 
 def _selected(steps: Sequence[Step]) -> str:
     step = min(steps, key=lambda s: s.evidence.selected)
-    if step.evidence.selected >= LEAST_SELECTED:
+    if step.evidence.selected == 1.0:
         return ""
     where = f" on {location(step.joints)}" if len(steps) > 1 else ""
     selected, together = step.evidence.selected, step.evidence.selected_with_rivals

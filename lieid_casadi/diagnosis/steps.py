@@ -66,7 +66,8 @@ class Accepted:
             slot.selected_any,
             found.folds.independent,
         )
-        status: Status = "one_of" if rivals else "named"
+        # without a part of the data something else was in its place, or nothing
+        status: Status = "named" if not rivals and slot.selected == 1.0 else "one_of"
         if candidate.name == SMOOTH:
             status = "shape"
         return cls(
@@ -126,8 +127,13 @@ def steps_of(
     columns = [final.columns_of([a.placement]) for a in accepted]
     complete = final.errors(np.zeros(0, dtype=np.intp))
     groups = groups_of(accepted)
+    smooth = {a.joint: a for a in accepted if a.candidate.name == SMOOTH}
     steps = []
     for k, found in enumerate(accepted):
+        status, rivals = found.status, found.rivals
+        if status == "named" and found.joint in smooth:  # the form of this torque is not known
+            other = smooth[found.joint].candidate
+            status, rivals = "one_of", (Rival(other.label, SMOOTH, other.joints, "data"),)
         later = columns[k + 1 :]
         so_far = final.errors(np.concatenate([np.zeros(0, dtype=np.intp), *later]))
         without, j = final.errors(columns[k]), found.joint
@@ -143,7 +149,7 @@ def steps_of(
                 effect=found.candidate.name,
                 joints=found.candidate.joints,
                 joint=j,
-                status=found.status,
+                status=status,
                 parameters={name: value for name, (value, _, _) in numbers.items()},
                 std={name: std for name, (_, std, _) in numbers.items()},
                 units={name: unit for name, (_, _, unit) in numbers.items()},
@@ -153,7 +159,7 @@ def steps_of(
                 share=share_of(before, after, float(torque[j])),
                 confirmed=None if fall["test"] is None else fall["test"] > 0.0,
                 evidence=found.evidence,
-                rivals=found.rivals,
+                rivals=rivals,
                 group=groups[k],
                 depends_on=signals_of(found.placement),
                 errors={
