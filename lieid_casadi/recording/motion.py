@@ -50,9 +50,7 @@ def motion_at(part: Recording, times: Array, cutoff: float) -> Motion:
     rate = (times.size - 1) / float(times[-1] - times[0])
     band = max(MOTION_BAND * cutoff, LEAST_BAND)
     q = smooth_at(part.t, part.q, times)
-    # commands are recorded at low rates, and their torque is as exact as the positions
-    difference = central_difference if part.command is None else sixth_order_difference
-    derivative = difference(q, rate)
+    derivative = central_difference(q, rate)
     dead_zone = _derivative_dead_zone(q, derivative, rate, band)
     velocity, for_acceleration = derivative, None
     if part.dq is not None:
@@ -75,9 +73,13 @@ def motion_at(part: Recording, times: Array, cutoff: float) -> Motion:
     if part.ddq is not None:
         ddq = lowpass(smooth_at(part.t, part.ddq, times), rate, band)
     elif for_acceleration is None:
-        ddq = difference(dq, rate)
+        ddq = central_difference(dq, rate)
+        if part.command is not None and part.dq is None:
+            # commands are recorded at low rates, and their torque is as exact as the positions
+            exact = lowpass(sixth_order_difference(q, rate), rate, band)
+            ddq = sixth_order_difference(exact, rate)
     else:
-        ddq = difference(lowpass(for_acceleration, rate, band), rate)
+        ddq = central_difference(lowpass(for_acceleration, rate, band), rate)
     moving = _moving(dq, dead_zone, rate)
     return Motion(lowpass(q, rate, band), np.where(moving, dq, 0.0), ddq, moving, dead_zone)
 
