@@ -232,7 +232,8 @@ SHARED = {
     # of a search for missing effects; what has changed is judged with the model of the fit
     "ONLY_WITH_TRAIN": """
     @TIP_AND_LOCK
-    --method {ols,wls,robust} = wls  ordinary, weighted or robust least squares
+    --method {ols,wls,robust,feasible} = wls  ordinary, weighted or robust least squares, or
+        weighted with physically consistent masses, which simulate and export need (feasible)
     --interactive  ask before each effect is added
     @EFFECTS_BY_RECORDING @PROCESSING
     """,

@@ -9,6 +9,7 @@ from drives.commanded import LAWS, TWO_LINK, commanded, measured
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.cli.main import main
 from lieid_casadi.effects.backlash import place_in_play
 from lieid_casadi.effects.command_delay import held_and_late
 from lieid_casadi.effects.registry import make
@@ -17,6 +18,7 @@ from lieid_casadi.identification.identify import default_effects
 from lieid_casadi.identification.regression.variable_projection import command_error_range
 from lieid_casadi.recording import process
 from lieid_casadi.recording.filtering import lowpass
+from lieid_casadi.robot.yaml_file import write_yaml
 
 ROBOT = TWO_LINK.with_drives(LAWS)
 BASE = "coulomb,viscous,offset"
@@ -139,6 +141,34 @@ def test_saturation_in_a_simulated_arm(stated):
         held = lieid.identify(both.model, recording, processing=CUTOFF, held_shapes=at_edge)
         (warning,) = [w for w in held.warnings if isinstance(w, BoundWarning)]
         assert str(warning).startswith("torque_saturation.e_s:1 reached its bound")
+
+
+@pytest.mark.slow
+def test_a_diagnosed_fit_of_method_feasible_is_simulated_and_exported(tmp_path):
+    """The guide's chain: diagnose -o better.json, simulate, export."""
+    arm = plant.demo_arm(TWO_LINK, seed=1, hidden=None)
+    laws = [replace(law, damping=law.damping / 4) for law in LAWS]
+    drives = [
+        plant.PositionDrive(law.stiffness, law.damping, limit=bound)
+        for law, bound in zip(laws, (np.inf, 2.75), strict=True)
+    ]
+    path = plant.FourierTrajectory(TWO_LINK, base_frequency=0.1, harmonics=5, seed=0)
+    run = plant.simulate_commands(
+        arm, path, drives, duration=10.0, command_rate=100.0, sensors=plant.demo_sensors(TWO_LINK)
+    )
+    run.save(tmp_path / "run.csv")
+    robot, better = tmp_path / "arm.yaml", tmp_path / "better.json"
+    robot.write_text(write_yaml(TWO_LINK.with_drives(laws)))
+    words = ["diagnose", str(robot), "--train", str(tmp_path / "run.csv"), "--method", "feasible"]
+    assert main([*words, "-o", str(better)]) == 0
+    fit = lieid.Fit.load(better)
+    assert "torque_saturation:2" in [p.label for p in fit.model.placements]
+    for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
+        assert column.lower <= value <= column.upper
+    words = ["simulate", str(better), str(tmp_path / "run.csv"), "-o", str(tmp_path / "sim.csv")]
+    assert main(words) == 0
+    assert main(["export", str(better), "--to", "mjcf", "-o", str(tmp_path / "out")]) == 0
+    mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "two_link.xml"))
 
 
 PLAY = 0.03  # rad
