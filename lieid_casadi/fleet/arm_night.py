@@ -202,7 +202,8 @@ OTHER_ARM_PART, OTHER_ARM_NOISE = 0.2, 5.0
 #: Error of the fit, in multiples of its held-out error, from which on the premises are tested: a
 #: wrong premise at least triples an error, and the test takes longer than a diagnosis.
 SUSPICIOUS = 2.0
-OF_TORQUE = ("torque_sign", "torque_unit")  # premises that other inertias would hide
+#: Premises that are no reason of their own if no inertias explain the torque of half of the joints.
+OF_TORQUE = ("robot_mismatch", "torque_sign", "torque_unit")
 
 
 def run_arm_night(night: ArmNight, fit_content: bytes) -> NightResult:
