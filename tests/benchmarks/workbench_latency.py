@@ -129,7 +129,8 @@ def memory(page, server) -> tuple[float, float]:
     """Return the memory of the server with its processes, and of the page, MB."""
     children = Path(f"/proc/{server.process.pid}/task/{server.process.pid}/children").read_text()
     texts = [Path(f"/proc/{p}/status").read_text() for p in [server.process.pid, *children.split()]]
-    kilobytes = [int(text.partition("VmRSS:")[2].split()[0]) for text in texts]
+    living = [text.partition("VmRSS:")[2] for text in texts if "VmRSS:" in text]  # not ended
+    kilobytes = [int(text.split()[0]) for text in living]
     page.driver.execute_cdp_cmd("HeapProfiler.collectGarbage", {})
     heap = page.driver.execute_cdp_cmd("Runtime.getHeapUsage", {})["usedSize"]
     return round(sum(kilobytes) / 1e3, 1), round(heap / 1e6, 1)
