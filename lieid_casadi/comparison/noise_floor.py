@@ -67,7 +67,9 @@ def noise_floor(
     trained = {each.sha256 for each in fit.provenance.recordings}
     unseen = [s for s in segments if s.recording.source_hash not in trained]
     part = sum(len(s.filtered_time) for s in unseen) / sum(len(s.filtered_time) for s in segments)
-    floor = np.hypot(floor, np.sqrt(part) * _uncertainty(fit, unseen))
+    # the covariance is that of the fit's residual, which contains a missing effect besides noise
+    size = np.minimum(floor / np.maximum(fit.noise, 1e-300), 1.0)
+    floor = np.hypot(floor, np.sqrt(part) * size * _uncertainty(fit, unseen))
     floor = np.where(np.isfinite(error), np.minimum(floor, error), np.nan)
     return floor, source if np.isfinite(floor).any() else "none"
 
