@@ -220,9 +220,10 @@ def _rules(
         candidate = columns.candidate(group)
         return reason_against(candidate, columns.shapes(group), values, rows.segments) is None
 
-    count = sum(run.count for run in rows.runs)
+    own = np.array([max(run.count, 2) for run in rows.runs], dtype=float)
+    count = np.array([own.sum() if c.reaches_all else own[c.joint] for c in columns.owners])
     more = np.ones(len(columns.size)) if dependence is None else dependence
-    independent = np.maximum(count / more, 2.0)
+    independent = np.maximum(count[columns.owner] / more, 2.0)
     return Rules(
         options.penalty * columns.parameters * more * np.log(independent),
         columns.support > options.least_support,
