@@ -71,7 +71,7 @@ def diagnose(
     train : Recording or sequence of Recording
     test : Recording or sequence of Recording, optional
         Recordings of other motion, on which errors are reported. Not allowed with a fit.
-    method : {"ols", "wls", "robust"}
+    method : {"ols", "wls", "robust", "feasible"}
         Of the fits.
     processing : Processing, optional
         Filter options; the cut-off frequency is chosen from the data if not stated.
