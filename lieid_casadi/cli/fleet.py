@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     --on-alarm COMMAND  shell command that gets a line of JSON on its standard input for
         each alarm that is new, or worse: twice as large, or near its limit
     --horizon DAYS: int = 30  time before a limit is reached that is near
-    --log FILE  append faults, silent arms and alarms, each line with time and level
+    --log FILE: output  append faults, silent arms and alarms, each line with time and level
     """
     from lieid_casadi.fleet.alarms import alarms_to_report, evidence, read_alarms
     from lieid_casadi.fleet.cluster import RunOptions
