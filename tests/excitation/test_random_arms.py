@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
+from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation import sample_functions
 
 CLEARANCE, SPEED = 0.02, 1.5
 
@@ -188,7 +188,7 @@ def verify(arm, found):
 
 def designs(seeds, monkeypatch):
     """Yield a random arm with the outcome of its design; without compiled code, to save time."""
-    monkeypatch.setattr(sample_functions.Kernels, "get", lambda self, names: None)
+    monkeypatch.setattr(Kernels, "get", lambda self, names: None)
     for seed in seeds:
         arm = Arm(seed)
         # the last link before the tool: what lies beyond it moves faster than the tool
