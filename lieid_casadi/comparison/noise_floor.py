@@ -5,11 +5,10 @@ what does not depend on the motion. It is estimated from the difference between 
 recording is periodic (`period_noise`), and otherwise as the part of the error that no function of
 the motion explains: the model's own columns and common effects (`motion_columns`), alone or with
 couplings of the joints (`coupling_columns`), by ridge regression whose penalty is chosen on
-held-out blocks of time. Of slow noise functions of the motion explain a part by chance: what they
-explain of an error is none of it unless they explain less of the same error at every other time of
-the motion (shifted surrogates; Theiler et al., Physica D 1992). On recordings
-that the fit did not use, a model that lacks nothing has besides the error of its parameters, which
-their covariance states. The floor never exceeds the error itself.
+held-out blocks of time. Functions of the motion explain a part of slow noise by chance: an error
+counts as noise unless they explain more of it than of the same error at every other time of the
+motion (shifted surrogates; Theiler et al., Physica D 1992). On recordings that the fit did not use
+the floor contains the error of its uncertain parameters. It never exceeds the error itself.
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.least_squares import Rows
 from lieid_casadi.identification.regression.variable_projection import shape_columns
 from lieid_casadi.identification.uncertainty.noise_model import common_effect_columns
 from lieid_casadi.recording import Recording, period_noise
@@ -55,7 +55,8 @@ def noise_floor(
     ``segments`` are those of the recordings, ``error`` (n,) is the RMS error in motion, N·m. The
     noise is NaN for joints that hardly move.
     """
-    cutoff = segments[0].cutoff
+    cutoff, design = segments[0].cutoff, Design(fit.compiled, segments)
+    rows = design.rows(fit.shapes, fit.parameters)
     repeated = [(period_noise(r, cutoff=cutoff), r.duration) for r in recordings]
     squares = [noise**2 for noise, _ in repeated if noise is not None]
     if squares:
@@ -63,20 +64,21 @@ def noise_floor(
         floor = np.asarray(np.sqrt(np.average(squares, axis=0, weights=durations)))
         source = "period_to_period"
     else:
-        floor, source = _independent_of_motion(fit, segments), "motion"
+        floor, source = _independent_of_motion(fit, segments, rows), "motion"
     trained = {each.sha256 for each in fit.provenance.recordings}
-    unseen = [s for s in segments if s.recording.source_hash not in trained]
-    part = sum(len(s.filtered_time) for s in unseen) / sum(len(s.filtered_time) for s in segments)
-    # the covariance is that of the fit's residual, which contains a missing effect besides noise
-    size = np.minimum(floor / np.maximum(fit.noise, 1e-300), 1.0)
-    floor = np.hypot(floor, np.sqrt(part) * size * _uncertainty(fit, unseen))
+    lengths = [len(s.filtered_time) for s in segments]
+    unseen = [s.recording.source_hash not in trained for s in segments]
+    if any(unseen):
+        # the covariance is that of the fit's residual, which contains a missing effect as well
+        size = np.minimum(floor / np.maximum(fit.noise, 1e-300), 1.0)
+        part = np.average(unseen, weights=lengths)
+        floor = np.hypot(floor, np.sqrt(part) * size * _uncertainty(fit, design, rows))
     floor = np.where(np.isfinite(error), np.minimum(floor, error), np.nan)
     return floor, source if np.isfinite(floor).any() else "none"
 
 
-def _independent_of_motion(fit: Fit, segments: Sequence[Processed]) -> Array:
+def _independent_of_motion(fit: Fit, segments: Sequence[Processed], rows: Rows) -> Array:
     """Return the RMS of what columns of the motion do not explain (n,), N·m."""
-    rows = Design(fit.compiled, segments).rows(fit.shapes, fit.parameters)
     residuals = rows.residuals(fit.values)
     columns = np.concatenate([motion_columns(fit, segment) for segment in segments])
     couplings = np.concatenate([coupling_columns(segment) for segment in segments])
@@ -102,12 +104,9 @@ def _independent_of_motion(fit: Fit, segments: Sequence[Processed]) -> Array:
     return np.array(floors)
 
 
-def _uncertainty(fit: Fit, segments: Sequence[Processed]) -> Array:
+def _uncertainty(fit: Fit, design: Design, rows: Rows) -> Array:
     """Return the RMS standard deviation of the predicted torque (n,), N·m."""
-    if not segments:
-        return np.zeros(fit.model.n)
-    design = Design(fit.compiled, segments)
-    rows, count = design.rows(fit.shapes, fit.parameters), len(fit.values)
+    count = len(fit.values)
     slopes = shape_columns(design, fit.values, fit.shapes, fit.parameters)
     found = []
     for joint, of_shapes in zip(rows.joints, slopes, strict=True):
