@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, options, output
@@ -13,7 +12,7 @@ from lieid_casadi.cli.options import command
 from lieid_casadi.errors import LieidWarning, UsageError
 
 if TYPE_CHECKING:
-    from lieid_casadi.diagnosis import Diagnosis, DiagnosisOptions, Proposal
+    from lieid_casadi.diagnosis import Diagnosis, DiagnosisOptions
     from lieid_casadi.tables import Table
 
 
@@ -89,8 +88,7 @@ def _missing(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]
             processing=inputs.processing_of(args),
             seed=args.seed,
             options=_options(args),
-            ask=_asker() if args.interactive else None,
-            progress=None if args.interactive else report,
+            progress=report,
         )
     return found, premises
 
@@ -125,23 +123,6 @@ def _options(args: argparse.Namespace) -> DiagnosisOptions:
     if args.worth is None:
         return DiagnosisOptions()
     return DiagnosisOptions(worth=args.worth, worth_of_change=args.worth)
-
-
-def _asker() -> Callable[[Proposal], bool]:
-    """Return a question on the terminal for each step."""
-    if not sys.stdin.isatty():
-        raise UsageError(
-            "--interactive: standard input is not a terminal; expected one, or no option"
-        )
-
-    def ask(proposal: Proposal) -> bool:
-        output.show(
-            f"{proposal.label}: held-out error on joint {proposal.joint + 1} falls from "
-            f"{proposal.before:.4g} to {proposal.after:.4g} N·m. Add it? [Y/n]"
-        )
-        return not sys.stdin.readline().strip().lower().startswith("n")
-
-    return ask
 
 
 def shown(diagnosis: Diagnosis) -> Iterator[str | Table | LieidWarning]:

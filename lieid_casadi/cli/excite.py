@@ -33,7 +33,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     == motion
     --basis {fourier,modified_fourier,bspline} = fourier  functions that trajectories
         are composed of
-    --family X removed  use --basis; spline is bspline
     --duration S: number = 20  duration of one period, s
     --harmonics N: int = 5  harmonics of each joint
     --periods N: int = 1  number of periods
@@ -42,7 +41,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
         within all limits
     == search
-    --solver X removed  Ipopt is the only solver
     --warm-start FILE: input  trajectory (CSV with t, q1 … qn) of one period from which
         the first search starts
     --starts N: int = 4  number of random starts

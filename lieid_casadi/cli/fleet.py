@@ -7,7 +7,7 @@ import json
 import logging
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
@@ -40,11 +40,11 @@ def run(args: argparse.Namespace) -> int:
     == diagnosis of recordings
     -o/--output HISTORY: output  history (DuckDB) to add to
     --scheduler ADDRESS  Dask scheduler; default: a cluster on this machine
-    --workers N: int  processes on this machine; default: one per core
+    --workers N: count  processes on this machine; default: one per core
     --memory SIZE = 2GB  limit of each process
-    --timeout S: number = 600  seconds after which an arm-night has failed
+    --timeout S: above = 600  seconds after which an arm-night has failed
     --since DATE: night  first night to run, such as 2026-11-20
-    --keep DAYS: int  remove runs of nights that are older than this, after the run;
+    --keep DAYS: count  remove runs of nights that are older than this, after the run;
         alarms are kept
     --night DATE: night  newest night on which every arm is expected to have recorded;
         default: yesterday, UTC
@@ -65,17 +65,24 @@ def run(args: argparse.Namespace) -> int:
     from lieid_casadi.fleet.judging import outliers
     from lieid_casadi.fleet.run import run_fleet
 
-    _check(args)
+    if args.output is None:
+        raise UsageError("no history; expected lieid fleet FLEET.yaml -o HISTORY.duckdb")
     fleet = read_fleet(args.fleet)
     settings = RunOptions(
         scheduler=args.scheduler, workers=args.workers, memory=args.memory, timeout=args.timeout
     )
     removed: int | None = None
     with _log_file(args.log) as log, History(args.output, wait=args.wait) as history:
-        with _progress() as report:
+        with output.progress("fleet") as report:
+
+            def advanced(state: FleetProgress) -> None:
+                rate = f"{state.rate:.0f} per minute, {state.left:.0f} s left"
+                stage = f"{state.finished} of {state.total} arm-nights, {rate}"
+                report(stage, state.finished / max(state.total, 1))
+
             result = run_fleet(
                 fleet, history, options=settings, since=args.since, newest=args.night,
-                rerun=args.rerun, connected=_connected, progress=report,
+                rerun=args.rerun, connected=_connected, progress=advanced,
             )  # fmt: skip
         if args.keep is not None:
             removed = history.remove_before(datetime.now(UTC).date() - timedelta(days=args.keep))
@@ -100,18 +107,6 @@ def run(args: argparse.Namespace) -> int:
     silent = len(result.silent) > args.most_failed
     status = {(True, False): NEW_ALARM, (False, True): SILENT, (True, True): BOTH}
     return status.get((bool(new), silent), 0) if args.exit_code else 0
-
-
-def _check(args: argparse.Namespace) -> None:
-    """Refuse options that are out of range."""
-    if args.output is None:
-        raise UsageError("no history; expected lieid fleet FLEET.yaml -o HISTORY.duckdb")
-    if args.workers is not None and args.workers < 1:
-        raise UsageError(f"--workers {args.workers}: expected 1 or more")
-    if args.keep is not None and args.keep < 1:
-        raise UsageError(f"--keep {args.keep}: expected 1 day or more")
-    if not args.timeout > 0.0:
-        raise UsageError(f"--timeout {args.timeout:g}: expected seconds above 0")
 
 
 def _print_run(args: argparse.Namespace, result: FleetRun) -> None:
@@ -150,23 +145,6 @@ def _connected(dashboard: str) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[FleetProgress], None]]:
-    """Show arm-nights, rate and time left on stderr, if it is a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda state: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
-    columns = (TextColumn("{task.description}", markup=False), BarColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("fleet", total=1.0)
-        yield lambda state: bar.update(
-            task, completed=state.finished, total=state.total, description=_state(state)
-        )
-
-
-@contextmanager
 def _log_file(path: str | None) -> Iterator[logging.Logger]:
     """Append what the fleet logs to a file, with time and level."""
     logger = logging.getLogger("lieid_casadi.fleet")
@@ -186,13 +164,6 @@ def _log_file(path: str | None) -> Iterator[logging.Logger]:
         logger.setLevel(before)
         logger.removeHandler(handler)
         handler.close()
-
-
-def _state(state: FleetProgress) -> str:
-    return (
-        f"{state.finished} of {state.total} arm-nights, {state.rate:.0f} per minute, "
-        f"{state.left:.0f} s left"
-    )
 
 
 @command("fleet report", "alarms and trends of a fleet")

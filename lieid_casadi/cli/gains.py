@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
-from lieid_casadi.errors import LieidWarning, UsageError
+from lieid_casadi.errors import LieidWarning
 
 if TYPE_CHECKING:
     from lieid_casadi.gains import DriveGains
@@ -21,7 +21,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     @ROBOT
     --unloaded REC …: input required  recordings of currents without the payload
     --loaded REC …: input required  recordings of currents with the payload
-    --mass KG: number required  mass of the payload
+    --mass KG: above required  mass of the payload
     --com X Y Z: number  the payload's centre of mass in the tool frame, m, if it was
         measured
     --yaml FILE: output  write the robot with its torque constants
@@ -31,8 +31,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.gains import drive_gains
     from lieid_casadi.robot.yaml_file import write_yaml
 
-    if not args.mass > 0.0:
-        raise UsageError(f"--mass {args.mass:g}: expected kg above 0")
     robot = inputs.model_of(args).robot
     with output.progress("gains") as report:
         gains = drive_gains(

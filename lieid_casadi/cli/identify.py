@@ -15,9 +15,7 @@ from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.comparison import Comparison
-    from lieid_casadi.friction_curves import StagedFit
     from lieid_casadi.identification import Fit
-    from lieid_casadi.model import Model
     from lieid_casadi.recording import Recording
 
 
@@ -37,17 +35,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --known-mass LINK=KG …: mass  masses of links that determine an unknown stiffness
         (--stiffness unknown)
     @PROCESSING @DESPITE_CHECK @JSON @HTML
-    == identification in stages
-        With --friction-runs, TRAIN identifies the links, the friction runs of single joints
-        identify friction over speed and load, and TRAIN identifies the links and the friction
-        that grows with speed again (Luo et al. 2024, Eqs. 11 to 16, and a third stage).
-    --friction-runs J=REC …: run  recordings in which joint J moves forward and backward and the
-        others stand still
-    --friction-effects A,B,… = paper  friction model of these joints: effects, or the name of a
-        model
-    --friction-load {model,measured}  source of the load torque of the friction runs; measured for
-        runs with a payload; default: model
-    --no-refit  leave out the third stage, as the paper does
     """
     from lieid_casadi.comparison import compare
     from lieid_casadi.identification import identify
@@ -62,41 +49,26 @@ def run(args: argparse.Namespace) -> output.Outcome:
     test = inputs.recordings_of(args.test, args, robot)
     premises = premises_of(args, robot, train, test)
     model = inputs.model_for(args, robot, train)
-    stages = _in_stages(model, train, args) if args.friction_runs else None
-    processing = inputs.processing_of(args)
+    options = {"method": args.method, "processing": inputs.processing_of(args)}
     with output.progress("identify") as report:
-        if stages is not None:
-            fit = stages.fit
-        elif args.known_mass:
-            fit = identify_with_known_masses(
-                model,
-                train,
-                dict(args.known_mass),
-                method=args.method,
-                processing=processing,
-                progress=report,
-            )
+        if args.known_mass:
+            masses = dict(args.known_mass)
+            fit = identify_with_known_masses(model, train, masses, **options, progress=report)
         elif args.stiffness == "each":
-            fit = identify_each_stiffness(
-                model, train, method=args.method, processing=processing, progress=report
-            )
+            fit = identify_each_stiffness(model, train, **options, progress=report)
         else:
-            fit = identify(model, train, method=args.method, processing=processing, progress=report)
+            fit = identify(model, train, **options, progress=report)
     if (laws := fit.model.robot.drives) and laws != robot.drives:  # stiffnesses were found
         test = [recording.with_drives(laws) for recording in test]
-    tables = [] if stages is None else [stage_table(stages)]
     polished = []
     if args.polish:
         fit, sentence = _polished(fit, train)
         polished = [sentence]
     comparison = compare(fit, test) if test else None
-    found = content(fit, comparison) | {"premises": premises}
-    if stages is not None:
-        found["stages"] = {"refit": not args.no_refit, **stages.to_dict()}
     return output.Outcome(
-        [*tables, *shown(fit, comparison), *polished],
+        [*shown(fit, comparison), *polished],
         fit=fit,
-        json=found,
+        json=content(fit, comparison) | {"premises": premises},
         html=lambda: fit_report(fit) if comparison is None else comparison_report(fit, comparison),
     )
 
@@ -118,49 +90,6 @@ def _polished(fit: Fit, train: Sequence[Recording]) -> tuple[Fit, str]:
     return found.fit, (
         f"Polished on the motion in {time.monotonic() - start:.0f} s: RMS error of the position in "
         f"windows of 1 s from {before} to {after} deg per joint."
-    )
-
-
-def _in_stages(
-    model: Model, recordings: Sequence[Recording], args: argparse.Namespace
-) -> StagedFit:
-    """Identify links, friction of single joints, and both again."""
-    from lieid_casadi.friction_curves import identify_in_stages
-    from lieid_casadi.recording import Processing
-
-    paths: dict[int, list[str]] = {}
-    for run in args.friction_runs:
-        if run.joint >= model.n:
-            raise UsageError(
-                f"--friction-runs {run.joint + 1}={run}: {model.robot.name} has joints 1 to "
-                f"{model.n}"
-            )
-        paths.setdefault(run.joint, []).append(run)
-    return identify_in_stages(
-        model,
-        recordings,
-        {joint: inputs.recordings_of(paths[joint], args, model.robot) for joint in sorted(paths)},
-        args.friction_effects,
-        refit=not args.no_refit,
-        method=args.method,
-        load=args.friction_load,
-        processing=inputs.processing_of(args),
-        friction_processing=Processing(cutoff=args.cutoff),
-    )
-
-
-def stage_table(stages: StagedFit) -> Table:
-    """Return how well the friction model fits each joint, and the errors of the first stage."""
-    error = "train error of the first stage, N·m"
-    rows = []
-    for joint, own in stages.friction.items():
-        quality = [len(own.curve), own.rms, f"{own.correlation:.4f}", own.curve.unit]
-        first = float(stages.first_stage.rms_train[joint])
-        rows.append([f"{joint + 1} {own.curve.joint_name}", *quality, first])
-    return make_table(
-        "Friction of single joints (second stage)",
-        ["joint", "points", "RMS", "correlation", "unit", error],
-        rows,
     )
 
 

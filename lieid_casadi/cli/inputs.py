@@ -6,9 +6,9 @@ import argparse
 import contextlib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from lieid_casadi.cli import output
 from lieid_casadi.cli.options import given
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from lieid_casadi.premises import Correction
     from lieid_casadi.recording import Processing, Recording
     from lieid_casadi.robot import Drive, Robot
+
+Value = TypeVar("Value")
 
 
 def load_effects_file(path: str | None) -> None:
@@ -192,77 +194,63 @@ def drives_of(args: argparse.Namespace, robot: Robot) -> tuple[Drive, ...] | Non
     from lieid_casadi.robot import Drive, servo_drive
 
     stiffness, damping, servo = (getattr(args, x, None) for x in ("stiffness", "damping", "servo"))
-    if servo is not None:
-        if stiffness is not None:
-            raise UsageError("--servo: states the stiffness itself; expected one of them")
-        names = servo.split(",")
-        names = names * robot.n if len(names) == 1 else names
-        if len(names) != robot.n:
-            raise UsageError(f"--servo: {len(names)} names; expected 1 or {robot.n}, one per joint")
-        gains = _numbers("--damping", damping or "0", robot.n, least=0.0)
-        pairs = zip(names, gains, strict=True)
-        return robot.with_drives([servo_drive(x.strip(), derivative=d) for x, d in pairs]).drives
-    if stiffness is None:
+    if stiffness is None and servo is None:
         if damping is not None:
             raise UsageError("--damping: needs --stiffness K1,…,Kn or unknown, or --servo NAME")
         return robot.drives
-    damping_values = _numbers("--damping", damping or "0", robot.n, least=0.0)
+    gains = _numbers("--damping", damping or "0", robot.n, "0 or more", lambda d: d >= 0.0)
+    if servo is not None:
+        if stiffness is not None:
+            raise UsageError("--servo: states the stiffness itself; expected one of them")
+        names = _per_joint("--servo", servo.split(","), robot.n, "names")
+        pairs = zip(names, gains, strict=True)
+        return robot.with_drives([servo_drive(x.strip(), derivative=d) for x, d in pairs]).drives
     if stiffness == "each" and not hasattr(args, "known_mass"):
         raise UsageError(
             "--stiffness each: is for lieid identify, whose fit contains the stiffnesses found; "
             "expected numbers, or unknown"
         )
     if stiffness in ("unknown", "each"):
-        laws = [Drive(stiffness=1.0, damping=d, relative=True) for d in damping_values]
+        laws = [Drive(stiffness=1.0, damping=d, relative=True) for d in gains]
     else:
-        values = _numbers("--stiffness", stiffness, robot.n, least=math.ulp(0.0))
-        laws = [Drive(stiffness=k, damping=d) for k, d in zip(values, damping_values, strict=True)]
+        kind = "above 0, or unknown"
+        values = _numbers("--stiffness", stiffness, robot.n, kind, lambda k: k > 0.0)
+        laws = [Drive(stiffness=k, damping=d) for k, d in zip(values, gains, strict=True)]
     return robot.with_drives(laws).drives
 
 
-def _numbers(option: str, text: str, n: int, *, least: float) -> list[float]:
-    """Return one number per joint."""
+def _numbers(
+    option: str, text: str, n: int, kind: str, holds: Callable[[float], bool]
+) -> list[float]:
+    """Return finite numbers for which a condition holds, one per joint."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
-    if not values or not all(math.isfinite(x) and x >= least for x in values):
-        kind = "0 or more" if least == 0.0 else "above 0, or unknown"
+    if not values or not all(math.isfinite(x) and holds(x) for x in values):
         raise UsageError(f"{option} {text}: expected one number or {n} numbers {kind}")
-    if len(values) == 1:
-        return values * n
-    if len(values) != n:
-        raise UsageError(f"{option}: {len(values)} numbers; expected 1 or {n}, one per joint")
-    return values
+    return _per_joint(option, values, n, "numbers")
+
+
+def _per_joint(option: str, values: list[Value], n: int, what: str) -> list[Value]:
+    """Return one value per joint; one that is given is that of all."""
+    if len(values) not in (1, n):
+        raise UsageError(f"{option}: {len(values)} {what}; expected 1 or {n}, one per joint")
+    return values * n if len(values) == 1 else values
 
 
 def _torque_options(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
     """Return the arguments of `Recording.load` that state the source of torque."""
-    return {"torque_constants": _torque_constants(args, robot), "drives": drives_of(args, robot)}
-
-
-def _torque_constants(args: argparse.Namespace, robot: Robot) -> list[float] | None:
-    """Return the constants of --torque-constants or of the robot (n), N·m/A."""
-    import numpy as np
-
+    constants = None
     if args.torque_constants is not None:
-        try:
-            constants = [float(text) for text in args.torque_constants.split(",")]
-        except ValueError:
-            constants = []
-        if not constants or not all(np.isfinite(k) and k != 0.0 for k in constants):
-            raise UsageError(
-                f"--torque-constants {args.torque_constants}: expected numbers K1,…,K{robot.n} "
-                "other than 0, N·m/A"
-            )
-        if len(constants) != robot.n:
-            raise UsageError(
-                f"--torque-constants: {len(constants)} numbers; expected {robot.n}, one per joint"
-            )
-        return constants
-    if np.all(np.isfinite(robot.torque_constants)):
-        return [float(k) for k in robot.torque_constants]
-    return None
+        kind = "other than 0, N·m/A"
+        option, text = "--torque-constants", args.torque_constants
+        constants = _numbers(option, text, robot.n, kind, lambda k: k != 0.0)
+        if "," not in text and robot.n > 1:
+            raise UsageError(f"{option}: 1 number; expected {robot.n}, one per joint")
+    elif all(map(math.isfinite, robot.torque_constants)):
+        constants = [float(k) for k in robot.torque_constants]
+    return {"torque_constants": constants, "drives": drives_of(args, robot)}
 
 
 def _as_in_training(args: argparse.Namespace, fit: Fit) -> dict[str, Any]:
@@ -289,8 +277,6 @@ def _reading_options(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
         "position_limits": np.column_stack(limits),
     }
     if args.inflate_limit is not None:
-        if not args.inflate_limit > 0.0:
-            raise UsageError(f"--inflate-limit {args.inflate_limit:g}: expected MiB above 0")
         options["inflate_limit"] = int(args.inflate_limit * 2**20)
     if args.episodes is not None:
         options["episodes"] = _episodes(args.episodes)

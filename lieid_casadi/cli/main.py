@@ -18,7 +18,7 @@ from lieid_casadi.cli import inputs
 from lieid_casadi.cli.option_types import check_paths, writes_to_stdout
 from lieid_casadi.cli.options import COMMANDS, Command
 from lieid_casadi.cli.output import Outcome, visible
-from lieid_casadi.errors import LieidError, NoSolution, PremiseError, UsageError
+from lieid_casadi.errors import LieidError, NoSolution, PremiseError
 
 DONE, INTERNAL, BAD_INPUT, NO_SOLUTION, WRONG_PREMISE, INTERRUPTED = 0, 1, 2, 3, 4, 130
 MODULES = (
@@ -123,13 +123,9 @@ def _run(args: argparse.Namespace) -> int:
 
 def _use_threads(args: argparse.Namespace) -> None:
     """Apply --threads; it has no effect on linear algebra once NumPy is imported."""
-    threads = getattr(args, "threads", None)
-    if threads is None:
-        return
-    if threads < 1:
-        raise UsageError(f"--threads {threads}: expected 1 or more")
-    for name in ("LIEID_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = str(threads)
+    if (threads := getattr(args, "threads", None)) is not None:
+        for name in ("LIEID", "OMP_NUM", "OPENBLAS_NUM", "MKL_NUM"):
+            os.environ[f"{name}_THREADS"] = str(threads)
 
 
 def _discard_unwritten() -> None:
@@ -151,26 +147,19 @@ def _joined(words: Sequence[str]) -> list[str]:
 
 def _status(args: argparse.Namespace, error: Exception) -> int:
     """Print one line for an error and return its exit status."""
-    command, own_code = args.command, getattr(args, "effects_file", None)
-    text = " ".join(str(error).split())
-    if isinstance(error, NoSolution):
-        _say(f"lieid {command}: {text}")
-        return NO_SOLUTION
-    if isinstance(error, PremiseError):
-        _say(f"lieid {command}: {text}")
-        return WRONG_PREMISE
-    if isinstance(error, LieidError):
-        _say(f"lieid {command}: {text}")
-        return BAD_INPUT
-    if isinstance(error, OSError):
+    own_code, text, status = getattr(args, "effects_file", None), str(error), BAD_INPUT
+    if isinstance(error, (NoSolution, PremiseError)):
+        status = NO_SOLUTION if isinstance(error, NoSolution) else WRONG_PREMISE
+    elif isinstance(error, OSError):
         place = "" if error.filename is None else f"{error.filename}: "
-        _say(f"lieid {command}: {place}{error.strerror or text}")
-        return BAD_INPUT
-    if own_code is not None and (line := inputs.exception_in(own_code, error)):
-        _say(f"lieid {command}: {' '.join(line.split())}")
-        return BAD_INPUT
-    _say(f"lieid {command}: internal error: {type(error).__name__}: {text} (--debug shows where)")
-    return INTERNAL
+        text = f"{place}{error.strerror or text}"
+    elif own_code is not None and (line := inputs.exception_in(own_code, error)):
+        text = line
+    elif not isinstance(error, LieidError):
+        text = f"internal error: {type(error).__name__}: {text} (--debug shows where)"
+        status = INTERNAL
+    _say(f"lieid {args.command}: {' '.join(text.split())}")
+    return status
 
 
 def _say(line: str) -> None:

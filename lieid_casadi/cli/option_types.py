@@ -27,24 +27,6 @@ class InputPath(str):
         return Path(path if at and not os.path.exists(self) else self)
 
 
-class FrictionRun(InputPath):
-    """``J=REC``: a recording in which joint J (from 1) moves forward and backward."""
-
-    joint: int  # from 0
-
-    def __new__(cls, text: str) -> FrictionRun:
-        """Split the text into joint and path."""
-        number_of_joint, equals, path = text.partition("=")
-        digits = number_of_joint.isdecimal() and len(number_of_joint) <= 3
-        if not (equals and path and digits and int(number_of_joint) >= 1):
-            raise argparse.ArgumentTypeError(
-                f"{text}: expected J=REC, a joint from 1 and a recording"
-            )
-        run = super().__new__(cls, path)
-        run.joint = int(number_of_joint) - 1
-        return run
-
-
 class Calibration(InputPath):
     """A calibration file, or the word ``limits``."""
 
@@ -101,7 +83,6 @@ def known_mass(text: str) -> tuple[str, float]:
 #: The kinds of values in the options of commands, by the names that they have there.
 KINDS: dict[str, Callable[[str], Any]] = {
     "input": InputPath,
-    "run": FrictionRun,
     "calibration": Calibration,
     "output": OutputFile,
     "picture": PictureFile,
@@ -109,6 +90,8 @@ KINDS: dict[str, Callable[[str], Any]] = {
     "resumed": ResumedFolder,
     "int": int,
     "number": number,
+    "count": _checked(int, lambda x: x >= 1, "{}: expected a whole number, 1 or more"),
+    "above": _checked(float, lambda x: 0.0 < x < math.inf, "{}: expected a number above 0"),
     "height": height,
     "mass": known_mass,
     "seed": _checked(int, lambda x: x >= 0, "{}: expected a whole number, 0 or more"),

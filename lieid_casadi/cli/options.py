@@ -15,8 +15,8 @@ The last paragraph of a command's docstring states its options as its help shows
 that is: names; the value, or ``VALUE …`` (one or more), ``[VALUE]`` (may be left out),
 ``[VALUE …]``, ``X Y Z`` (three), or choices in braces; its kind of `KINDS` (default: text); its
 default; and two spaces before the text, which goes on in indented lines. ``repeated`` options may
-be given several times, ``removed`` ones are refused with the text as advice. An option without
-value is a switch. ``@NAME`` are shared options of `SHARED`.
+be given several times. An option without value is a switch. ``@NAME`` are shared options of
+`SHARED`.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ import inspect
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 from lieid_casadi.cli.option_types import KINDS
 
 DEFAULT_EFFECTS = "coulomb,viscous,offset"
 NOTATION = re.compile(
     r"(?P<names>\S+)(?P<values>(?: \S+?)*?)(?:: (?P<kind>\w+))?(?: = (?P<default>\S+))?"
-    r"(?: (?P<rule>required|repeated|removed))?"
+    r"(?: (?P<rule>required|repeated))?"
 )
 #: The commands by their names, in the order of the modules that define them.
 COMMANDS: dict[str, Command] = {}
@@ -109,9 +109,7 @@ def _settings(match: re.Match[str], words: str) -> dict[str, Any]:
     settings |= _shape(values.split())
     if kind is not None:
         settings["type"] = KINDS[kind]
-    if rule == "removed":
-        settings |= {"help": argparse.SUPPRESS, "type": _refused(words)}
-    elif rule == "required":
+    if rule == "required":
         settings["required"] = True
     elif rule == "repeated":
         settings |= {"action": "append", "default": []}
@@ -144,15 +142,6 @@ def _shape(values: list[str]) -> dict[str, Any]:
     return {"metavar": shown}
 
 
-def _refused(advice: str) -> Callable[[str], NoReturn]:
-    """Return the type of an option that was removed: it refuses every value with advice."""
-
-    def refuse(text: str) -> NoReturn:
-        raise argparse.ArgumentTypeError(f"{text}: removed; {advice}")
-
-    return refuse
-
-
 SHARED = {
     "ROBOT": """
     robot ROBOT: input  URDF, MJCF or YAML file, or a bundled name; the robot of a fit (JSON)
@@ -169,7 +158,7 @@ SHARED = {
     "EFFECTS_FILE": """
     --effects-file F.py: input  Python file that registers your own effects; it is executed
     """,
-    "THREADS": "--threads N: int  threads to use; default: 2",
+    "THREADS": "--threads N: count  threads to use; default: 2",
     # what every command has that computes torques along recordings
     "RECORDING": """
     --torque-constants K1,…,Kn  torque constants, N·m/A, for recordings with currents i1…in
@@ -180,7 +169,7 @@ SHARED = {
     --units UNIT[,UNIT] = ''  units of the recordings that are not SI: deg, and ms, us or ns
     --columns NAME=COLUMN,…  columns of other names than those of the file format, such as
         t=stamp,q=pos_*,tau1=effort
-    --inflate-limit MIB: number  size that a compressed recording may inflate to; default: 1024
+    --inflate-limit MIB: above  size that a compressed recording may inflate to; default: 1024
     @DATASETS @CORRECTIONS
     """,
     "DRIVES": """
@@ -234,7 +223,6 @@ SHARED = {
     @TIP_AND_LOCK
     --method {ols,wls,robust,feasible} = wls  ordinary, weighted or robust least squares, or
         weighted with physically consistent masses, which simulate and export need (feasible)
-    --interactive  ask before each effect is added
     @EFFECTS_BY_RECORDING @PROCESSING
     """,
     "PROCESSING": """
@@ -250,7 +238,6 @@ SHARED = {
         robot's, or 3
     --jerk J …: number  jerk limits, rad/s³, one or one per joint; default: none
     --margin F: number = 0.8  fraction of the velocity and torque limits that is used
-    --torque-fraction X removed  use --margin, for velocity and torque limits
     --no-torque  do not check torque limits
     --cartesian-speed M/S: number = 1.5  highest speed of the tool and of the joint centres, m/s
     --floor [Z]: height = 0  height of the floor in the base frame, m, or none

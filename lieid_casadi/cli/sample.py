@@ -6,7 +6,6 @@ import argparse
 
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
-from lieid_casadi.errors import UsageError
 from lieid_casadi.tables import Table, make_table
 
 
@@ -18,7 +17,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     ensembles and domain randomisation.
 
     fit FIT: input  fit to sample
-    -n N: int = 100  number of samples
+    -n N: count = 100  number of samples
     --rival FIT: input repeated  fit with other effects that the data do not separate
     --weights W …: number  probabilities of the fit and its rivals, in proportion; default:
         by their errors on --test, else equal
@@ -37,8 +36,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         model_weights,
     )
 
-    if args.n < 1:
-        raise UsageError(f"-n {args.n}: expected at least 1")
     fit, *rivals = fits = [Fit.load(path) for path in (args.fit, *args.rival)]
     test = inputs.recordings_of(args.test, args, fit)
     weights = args.weights or None

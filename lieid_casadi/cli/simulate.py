@@ -6,7 +6,6 @@ import argparse
 
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
-from lieid_casadi.errors import UsageError
 
 
 @command("simulate", "forward simulation of a fit under recorded torques or commands")
@@ -19,7 +18,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     recordings REC …: input  recordings to follow
     -o/--output sim.csv: output  CSV file with the simulated motion t,q1…qn,dq1…dqn,
         restarted in every window
-    --window S: number = 1  length of the windows
+    --window S: above = 1  length of the windows
     --under {command,torque}  input; default: commands if the fit has a drive law and the
         recordings have them
     --no-effects  leave out the models without one effect of the fit each
@@ -34,8 +33,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.simulation import simulate
     from lieid_casadi.simulation.simulate import drift_table, effects_table
 
-    if not args.window > 0.0:
-        raise UsageError(f"--window {args.window:g}: expected seconds above 0")
     fit, recordings = inputs.fit_and_recordings(args)
     own = argparse.Namespace(**vars(args) | {"episodes": args.train_episodes})
     train = inputs.recordings_of(args.train, own, fit) if args.train else None

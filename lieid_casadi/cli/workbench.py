@@ -35,13 +35,10 @@ def run(args: argparse.Namespace) -> None:
     --train REC …: input  recordings to fit
     --test REC …: input  recordings to test on
     @NO_EFFECTS @TIP_AND_LOCK @RECORDING
-    == server
-    --port N: port = 8765  port to listen on
+    --port N: port = 8765  port to listen on, on this machine alone; from another one: ssh -L
     --no-browser  do not open a browser
-    --host ADDRESS = 127.0.0.1  address to listen on
-    --yes-expose  confirm a --host that other machines can reach; an SSH tunnel is safer
     """
-    from lieid_casadi.workbench.server import ServerOptions, serve
+    from lieid_casadi.workbench.server import serve
     from lieid_casadi.workbench.session import WorkerSetup
 
     setup = WorkerSetup(
@@ -52,8 +49,8 @@ def run(args: argparse.Namespace) -> None:
     setup.prepare()  # an error ends the command before a page is served
     opened = inputs_of(args)
     check_recordings(args, opened)
-    server = ServerOptions(args.host, args.port, exposed=args.yes_expose)
-    serve(opened, setup, server, ready=functools.partial(_announce, browser=not args.no_browser))
+    ready = functools.partial(_announce, browser=not args.no_browser)
+    serve(opened, setup, args.port, ready=ready)
 
 
 #: Options that a page keeps, but for the number of threads.

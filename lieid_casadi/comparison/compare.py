@@ -148,10 +148,6 @@ def _correlation(a: Array, b: Array) -> Array:
     return _ratio(np.sum(a * b, axis=0), norm)
 
 
-_NUMBER = r"(?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?"
-_PART = re.compile(rf"(?:@| episodes )(?P<start>{_NUMBER}):(?P<end>{_NUMBER})$")
-
-
 def _trained_on(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
     again = [
         source.name or "a recording"
@@ -168,20 +164,19 @@ def _trained_on(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
     ]
 
 
+_NUMBER = r"((?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?)"
+_PART = re.compile(rf"(?:@| episodes ){_NUMBER}:{_NUMBER}$")
+
+
 def _overlap(a: Source, b: Source) -> bool:
     """Return whether two recordings share samples: the same data with overlapping parts."""
     if not a.sha256 or a.sha256 != b.sha256:
         return False
-    (start, end), (other_start, other_end) = _part(a.name), _part(b.name)
-    return start < other_end and other_start < end
-
-
-def _part(name: str) -> tuple[float, float]:
-    """Return start and end of a part, s or episodes; infinite if the name states none."""
-    match = _PART.search(name)
-    if match is None:
-        return -np.inf, np.inf
-    return float(match["start"] or -np.inf), float(match["end"] or np.inf)
+    ends = []
+    for source in (a, b):  # of a part, s or episodes; infinite if the name states none
+        start, end = found.groups() if (found := _PART.search(source.name)) else ("", "")
+        ends.append((float(start or -np.inf), float(end or np.inf)))
+    return max(start for start, _ in ends) < min(end for _, end in ends)
 
 
 def _rest(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
@@ -189,23 +184,18 @@ def _rest(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
     resting = np.flatnonzero(has_dry_friction(fit.model) & comparison.rest_dominates)
     if not resting.size:
         return []
-    details = ", ".join(_rest_of(comparison, int(j)) for j in resting)
+    details = []
+    for j in resting.tolist():
+        at_rest, moving = comparison.rms_at_rest[j], comparison.rms_moving[j]
+        motion = f"{moving:.3g} {comparison.units[j]} in motion"
+        part = f"{100 * comparison.at_rest[j]:.2g} % of the time at rest"
+        moves = f"{motion}; {part}" if np.isfinite(moving) else "never in motion"
+        details.append(f"joint {j + 1} (RMS {at_rest:.3g} {comparison.units[j]} at rest, {moves})")
     moved = bool(np.isfinite(comparison.rms_moving[resting]).any())
     remedy = "use the RMS in motion for these joints" if moved else "compare a recording in motion"
     return [
         FrictionAtRestWarning(
-            f"friction is undetermined at rest and dominates the error of {details}: {remedy}"
+            "friction is undetermined at rest and dominates the error of "
+            f"{', '.join(details)}: {remedy}"
         )
     ]
-
-
-def _rest_of(comparison: Comparison, joint: int) -> str:
-    """Return a joint's errors at rest and in motion as text."""
-    unit, moving = comparison.units[joint], comparison.rms_moving[joint]
-    at_rest = f"joint {joint + 1} (RMS {comparison.rms_at_rest[joint]:.3g} {unit} at rest, "
-    if not np.isfinite(moving):
-        return f"{at_rest}never in motion)"
-    return (
-        f"{at_rest}{moving:.3g} {unit} in motion; {100 * comparison.at_rest[joint]:.2g} % of the "
-        "time at rest)"
-    )

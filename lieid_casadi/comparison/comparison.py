@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-AT_NOISE = 1.05  # times the noise floor, below which the multiple is not stated
 AS_NOISE = 1.3  # times the noise floor, up to which an error is explained by noise
 BEYOND_NOISE = 2.0  # times the noise floor, from which an error is certainly systematic
 NUMBERS = (
@@ -52,40 +51,28 @@ class Comparison:
 
     Attributes
     ----------
-    joint_names : tuple of str
-    units : tuple of str
-        Of each joint's torque: N·m, or N for prismatic joints.
-    rms : (n,)
-        RMS error, N·m.
+    joint_names, units : tuple of str
+        Of each joint; the torque's unit is N·m, N for prismatic joints.
+    rms, rms_moving, rms_at_rest : (n,)
+        RMS error of all samples, of joints in motion, and at rest, N·m.
     rms_raw : (n,)
         RMS error on the uniform grid, resampled but not filtered.
-    rms_moving, rms_at_rest : (n,)
-        RMS error of joints in motion, and at rest.
     at_rest : (n,)
         Fraction of the samples at rest.
-    torque_rms : (n,)
-        RMS of the measured torque.
-    relative_rms : (n,)
-        ``rms / torque_rms``.
-    correlation : (n,)
-        Of measured and predicted torque, per joint.
-    bias : (n,)
-        Mean error.
-    noise_floor : (n,)
-        RMS error in motion of a model that lacks nothing; see `noise_floor`.
-    noise_source : str
-        ``period_to_period``, ``motion`` or ``none``; see
+    torque_rms, relative_rms : (n,)
+        RMS of the measured torque, and ``rms / torque_rms``.
+    correlation, bias : (n,)
+        Of measured and predicted torque, per joint; the mean error.
+    noise_floor, noise_source : (n,), str
+        RMS error in motion of a model that lacks nothing, and a key of
         `lieid_casadi.comparison.noise_floor.SOURCES`.
     worst : tuple of LargeError
         Largest errors of each joint, largest first.
     series : tuple of Series
         One per segment.
-    cutoff : float
-        Of the filter, Hz.
-    recordings : tuple of Source
-    duration : float
-        Compared time, s.
-    warnings : tuple of LieidWarning
+    cutoff, duration : float
+        Of the filter, Hz; compared time, s.
+    recordings, warnings : tuple of Source, tuple of LieidWarning
     """
 
     joint_names: tuple[str, ...]
@@ -273,16 +260,12 @@ def percent(value: float) -> str:
 
 def _error_text(c: Comparison, joint: int) -> str:
     """Return the size of a joint's error, as a plot states it."""
-    unit = c.units[joint]
-    moving, relative = c.rms_moving[joint], c.relative_rms_moving[joint]
+    unit, moving = c.units[joint], c.rms_moving[joint]
     if np.isnan(moving):
         return f"at rest: RMS {digits(c.rms[joint])} {unit}"
-    text = f"in motion: RMS {digits(moving)} {unit}"
-    if np.isfinite(relative):
-        text += f", {percent(relative)} of the torque"
-    if np.isfinite(c.noise_floor[joint]):
-        text += f"; noise floor {digits(c.noise_floor[joint])}"
-    return text
+    relative = f"{percent(c.relative_rms_moving[joint])} of the torque"
+    floor = f"noise floor {digits(c.noise_floor[joint])}"
+    return f"in motion: RMS {digits(moving)} {unit}, {relative}; {floor}"
 
 
 def fall_sentence(
@@ -375,23 +358,12 @@ def _noise(c: Comparison, remedy: str) -> str:
     """Compare the error in motion with the noise floor."""
     ratio = np.nan_to_num(_over_noise(c), nan=0.0)
     floor = "the noise floor"
-    if ratio.max() < AT_NOISE:
-        return f"The error in motion is within 5 % of {floor}: no systematic error is detectable."
-    if ratio.max() <= AS_NOISE:
-        return (
-            f"The error in motion is at most {ratio.max():.2g} times {floor}: "
-            "no systematic error is detectable."
-        )
-    beyond = ratio > BEYOND_NOISE
+    beyond, most = ratio > BEYOND_NOISE, int(np.argmax(ratio))
     if not beyond.any():
-        return f"The error in motion is at most {ratio.max():.2g} times {floor}."
-    most = int(np.argmax(ratio))
-    if beyond.sum() == 1:
-        size_text = f"On joint {most + 1} the error in motion is {ratio[most]:.2g} times {floor}"
-    else:
-        where = "every joint" if beyond.all() else joints_text(beyond)
-        size_text = (
-            f"On {where} the error in motion is more than {BEYOND_NOISE:g} times {floor}, "
-            f"most on joint {most + 1} ({ratio[most]:.2g} times)"
-        )
-    return f"{size_text}: part of it is systematic; {remedy}."
+        noise = ": no systematic error is detectable" if ratio[most] <= AS_NOISE else ""
+        return f"The error in motion is at most {ratio[most]:.2g} times {floor}{noise}."
+    where = "every joint" if beyond.all() and c.n > 1 else joints_text(beyond)
+    return (
+        f"On {where} the error in motion is more than {BEYOND_NOISE:g} times {floor}, most on "
+        f"joint {most + 1} ({ratio[most]:.2g} times): part of it is systematic; {remedy}."
+    )

@@ -103,6 +103,9 @@ def _draw_error(series: Sequence[Series], joint: int, ax: Axes) -> None:
         ax.plot(x, y, color=plot_style.ERROR, linewidth=0.8)
 
 
+SIGNALS = ("position q", "speed q̇", "load τ_load (rigid torque)", "time")
+
+
 def plot_errors(series: Sequence[Series], labels: Sequence[JointLabel]) -> Figure:
     """Plot one row per joint and one column per signal.
 
@@ -111,58 +114,54 @@ def plot_errors(series: Sequence[Series], labels: Sequence[JointLabel]) -> Figur
     with load, the distance between the two lines grows with the load; an error of inertia or
     gravity changes both lines in the same way.
     """
-    figure = plot_style.new_figure(15.0, 0.9 + 1.9 * len(labels))
-    axes = figure.subplots(
-        len(labels), 5, sharey="row", squeeze=False, width_ratios=(3, 3, 1.4, 3, 3)
-    )
+    figure = plot_style.new_figure(14.0, 0.9 + 1.9 * len(labels))
+    axes = figure.subplots(len(labels), len(SIGNALS), sharey="row", squeeze=False)
     times, clock = _clock(series)
     for joint, label in enumerate(labels):
         _draw_row(series, joint, label, axes[joint], np.concatenate(times))
-    for ax, text in zip(axes[0], _HEADINGS, strict=True):
+    for ax, text in zip(axes[0], SIGNALS, strict=True):
         plot_style.title(ax, text)
-    plot_style.label(axes[-1, 4], x=clock)
-    _legend(figure, noise=any(np.isfinite(label.noise_floor) for label in labels))
+    plot_style.label(axes[-1, -1], x=clock)
+    names = ["moving forward", "moving backward", "at rest"]
+    handles = [*axes[0, 0].get_lines()[:3][::-1]]  # drawn in the reverse order
+    if any(np.isfinite(label.noise_floor) for label in labels):
+        handles, names = [*handles, *axes[0, 0].patches[:1]], [*names, "± noise floor"]
+    figure.legend(
+        handles, names, title="error = measured − predicted; lines: mean of each interval",
+        title_fontsize=plot_style.NORMAL, loc="outside upper left", alignment="left", ncols=4,
+        frameon=False, fontsize=plot_style.NORMAL, markerscale=3.0,
+    )  # fmt: skip
     return figure
-
-
-_HEADINGS = ("position q", "speed q̇", "direction", "load τ_load (rigid torque)", "time")
 
 
 def _draw_row(
     series: Sequence[Series], joint: int, label: JointLabel, axes: Array, time: Array
 ) -> None:
-    prismatic = label.unit == "N"
+    turns = label.unit != "N"
     error, sign, q, dq, load = (
         np.concatenate([getattr(s, name)[:, joint] for s in series])
         for name in ("error", "sign", "q", "dq", "load")
     )
-    position, speed, direction, over_load, over_time = axes
-    for ax, signal in ((position, q), (speed, dq), (over_load, load), (over_time, time)):
-        _draw_samples(ax, signal, error, sign)
-    for ax, signal, edges in (
-        (position, q, intervals(q)),
-        (speed, dq, intervals(dq, around_zero=True)),
-        (over_load, load, intervals(load)),
-    ):
-        for way, colour in DIRECTIONS[:2]:
-            here = sign == way
-            _draw_mean(ax, signal[here], error[here], edges, colour)
-    _draw_mean(over_time, time, error, intervals(time), plot_style.TEXT)
-    _draw_directions(direction, error, sign)
     floor = label.noise_floor
     limit = max(float(np.percentile(np.abs(error), SHOWN)), 0.0) or 1.0
-    for ax in axes:
+    for ax, signal in zip(axes, (q, dq, load, time), strict=True):
         plot_style.style(ax)
         if np.isfinite(floor):
             ax.axhspan(-floor, floor, color=plot_style.NOISE, linewidth=0.0, zorder=0.5)
+        _draw_samples(ax, signal, error, sign)
         ax.axhline(0.0, color=plot_style.TEXT, linewidth=0.6, zorder=0.6)
-    position.set_ylim(-1.1 * limit, 1.1 * limit)
+        edges = intervals(signal, around_zero=signal is dq)
+        for way, colour in DIRECTIONS[:2] if signal is not time else ((None, plot_style.TEXT),):
+            here = np.ones(len(sign), dtype=bool) if way is None else sign == way
+            ax.plot(
+                *binned_mean(signal[here], error[here], edges),
+                "-o", color=colour, linewidth=1.8, markersize=2.5, zorder=3,
+            )  # fmt: skip
+    axes[0].set_ylim(-1.1 * limit, 1.1 * limit)
     name = plot_style.shortened(label.name)
-    plot_style.label(
-        position, x="m" if prismatic else "rad", y=f"joint {name}\nerror [{label.unit}]"
-    )
-    plot_style.label(speed, x="m/s" if prismatic else "rad/s")
-    plot_style.label(over_load, x=label.unit)
+    plot_style.label(axes[0], x="rad" if turns else "m", y=f"joint {name}\nerror [{label.unit}]")
+    plot_style.label(axes[1], x="rad/s" if turns else "m/s")
+    plot_style.label(axes[2], x=label.unit)
 
 
 def _draw_samples(ax: Axes, signal: Array, error: Array, sign: Array) -> None:
@@ -173,14 +172,6 @@ def _draw_samples(ax: Axes, signal: Array, error: Array, sign: Array) -> None:
             signal[use], error[use], ".", color=colour, alpha=0.4, markersize=size, mew=0.0,
             rasterized=True, zorder=1.5,
         )  # fmt: skip
-
-
-def _draw_mean(ax: Axes, signal: Array, error: Array, edges: Array, colour: str) -> None:
-    from matplotlib.patheffects import Normal, Stroke
-
-    centre, mean = binned_mean(signal, error, edges)
-    (line,) = ax.plot(centre, mean, "-o", color=colour, linewidth=1.8, markersize=2.5, zorder=3)
-    line.set_path_effects([Stroke(linewidth=3.4, foreground="white"), Normal()])
 
 
 def intervals(signal: Array, *, around_zero: bool = False) -> Array:
@@ -203,43 +194,3 @@ def binned_mean(x: Array, y: Array, edges: Array) -> tuple[Array, Array]:
     total, _ = np.histogram(x, edges, weights=y)
     mean = np.where(count >= FEWEST_SAMPLES, total / np.maximum(count, 1), np.nan)
     return (edges[1:] + edges[:-1]) / 2.0, mean
-
-
-def _draw_directions(ax: Axes, error: Array, sign: Array) -> None:
-    places, names = {-1.0: 0, 0.0: 1, 1.0: 2}, ("−", "rest", "+")
-    for direction, colour in DIRECTIONS:
-        here = error[sign == direction]
-        if len(here) < FEWEST_SAMPLES:
-            continue
-        ax.boxplot(
-            here, positions=[places[direction]], widths=0.6, whis=(5, 95), showfliers=False,
-            patch_artist=True, manage_ticks=False, zorder=2,
-            boxprops={"facecolor": colour, "edgecolor": colour, "alpha": 0.55},
-            medianprops={"color": "black", "linewidth": 1.4},
-            whiskerprops={"color": colour}, capprops={"color": colour},
-        )  # fmt: skip
-    ax.set_xlim(-0.6, 2.6)
-    ax.set_xticks([0, 1, 2], names)
-
-
-def _legend(figure: Figure, *, noise: bool) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    names = {1.0: ("moving forward", 1.8), -1.0: ("moving backward", 1.8), 0.0: ("at rest", 0.0)}
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=c, marker="o", markersize=4, linewidth=names[k][1], label=names[k][0])
-        for k, c in DIRECTIONS
-    ]
-    if noise:
-        handles.append(Patch(color=plot_style.NOISE, label="± noise floor"))
-    figure.legend(
-        handles=handles,
-        title="error = measured − predicted; lines: mean of each interval",
-        title_fontsize=plot_style.NORMAL,
-        loc="outside upper left",
-        alignment="left",
-        ncols=4,
-        frameon=False,
-        fontsize=plot_style.NORMAL,
-    )

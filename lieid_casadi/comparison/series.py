@@ -80,16 +80,8 @@ def series_along(
     return series, segment.tau - torque
 
 
-@dataclass(frozen=True, eq=False)
-class EffectTorque:
-    """Torque (K, n) of one placed effect on every joint at the instants of a segment, N·m."""
-
-    placement: Placement
-    torque: Array
-
-
-def effect_torques(fit: Fit, segment: Processed) -> tuple[EffectTorque, ...]:
-    """Return the torque of every placed effect: its columns times its coefficients.
+def effect_torques(fit: Fit, segment: Processed) -> list[tuple[Placement, Array]]:
+    """Return every placed effect and its torque (K, n), N·m: its columns times its coefficients.
 
     Their sum and the rigid torque are the model's torque, not filtered, along a segment as
     `process` returns it.
@@ -100,9 +92,9 @@ def effect_torques(fit: Fit, segment: Processed) -> tuple[EffectTorque, ...]:
     found, first = [], 0
     for placement in fit.model.placements:
         last = first + len(placement.effect.coefficients)
-        found.append(EffectTorque(placement, torques[:, :, first:last].sum(axis=2)))
+        found.append((placement, torques[:, :, first:last].sum(axis=2)))
         first = last
-    return tuple(found)
+    return found
 
 
 PER_JOINT = 3

@@ -41,7 +41,6 @@ def table_section(
     titles: bool = False,
     links: Mapping[str, str] | None = None,
     text: Collection[str] = (),
-    bars: Mapping[str, Sequence[float]] | None = None,
     weak: Sequence[bool] = (),
     folded: bool = False,
 ) -> Section:
@@ -49,8 +48,7 @@ def table_section(
 
     Tables without rows are left out; with ``titles``, each has its own heading. ``links`` are texts
     of cells and their anchors in the page, ``text`` headings of columns that are aligned left (as
-    long texts are anyway), ``bars`` are shown in the cells of a column, 0 to 100, and ``weak`` rows
-    are grey.
+    long texts are anyway), and ``weak`` rows are grey.
     """
     data = {
         "title": title,
@@ -63,7 +61,6 @@ def table_section(
         "titles": titles,
         "links": links or {},
         "text": text,
-        "bars": bars or {},
         "weak": weak,
     }
     return Section(title, "tables.html", data, folded)

@@ -55,23 +55,16 @@ def comparison_report(fit: Fit, comparison: Comparison, drift: WindowDrift | Non
         table_section("", sentences=[verdict(comparison)]),
         *_next_commands(_after_comparison(fit, comparison)),
         _warnings(comparison.warnings, fit.warnings),
-        _errors(comparison),
+        table_section("Error per joint", error_table(comparison)),
     ]
     if drift is not None:
         reason = [f"Not simulated: {drift.reason}."] if drift.reason else []
         title = "Simulation error per joint"
         sections.append(table_section(title, window_table(drift), sentences=reason))
-    largest = table_section("Largest errors", largest_errors_table(comparison), folded=True)
-    return render(
-        f"{fit.model.robot.name}: model and measurement",
-        [
-            *sections,
-            *_pictures(comparison),
-            largest,
-            *fit_sections(fit),
-            _provenance(fit, comparison),
-        ],
-    )
+    sections += _pictures(comparison)
+    sections.append(table_section("Largest errors", largest_errors_table(comparison), folded=True))
+    sections += [*fit_sections(fit), _provenance(fit, comparison)]
+    return render(f"{fit.model.robot.name}: model and measurement", sections)
 
 
 def fit_report(fit: Fit) -> str:
@@ -236,16 +229,9 @@ def _after_diagnosis(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     found = []
     for step in diagnosis.steps:
         if step.status == "one_of" and step.rivals:
-            words = [
-                "lieid",
-                "discriminate",
-                "FIT",
-                step.label,
-                step.rivals[0].label,
-                "-o",
-                "motion",
-            ]
-            found.append((f"separate {step.label} from its rivals", shlex.join(words)))
+            words = shlex.join([step.label, step.rivals[0].label])
+            command = f"lieid discriminate FIT {words} -o motion"
+            found.append((f"separate {step.label} from its rivals", command))
     if diagnosis.mode == "missing" and diagnosis.steps:
         train, test = (
             [s.name or "REC" for s in part] for part in (diagnosis.train, diagnosis.test)
@@ -323,14 +309,6 @@ def _warnings(warnings: Sequence[LieidWarning], of_fit: Sequence[LieidWarning] =
     return Section("Warnings", "warnings.html", {"groups": groups})
 
 
-def _errors(comparison: Comparison) -> Section:
-    """Return the errors, one row per joint, with bars in proportion to the relative error."""
-    parts = np.nan_to_num(np.clip(comparison.relative_rms_moving, 0.0, 1.0))
-    bars = np.round(100.0 * parts / max(float(parts.max()), 1e-12), 1)
-    shown = {"of torque": bars.tolist()}
-    return table_section("Error per joint", error_table(comparison), bars=shown)
-
-
 def _pictures(comparison: Comparison) -> list[Section]:
     """Return torque and error over time, and the error over the signals that it may depend on."""
     note = (
@@ -348,14 +326,10 @@ def _pictures(comparison: Comparison) -> list[Section]:
 def _training(fit: Fit) -> Section:
     """Return the errors of training and cross-validation, and the conditioning of the fit."""
     columns = (fit.rms_cv, fit.rms_train, fit.rms_train_raw)
-    rows = [
-        (
-            f"{j + 1} {joint.name}",
-            *(digits(values[j]) for values in columns),
-            "N·m" if joint.revolute else "N",
-        )
-        for j, joint in enumerate(fit.model.robot.joints)
-    ]
+    rows = []
+    for j, joint in enumerate(fit.model.robot.joints):
+        errors = (digits(values[j]) for values in columns)
+        rows.append((f"{j + 1} {joint.name}", *errors, "N·m" if joint.revolute else "N"))
     headings = ("joint", "cross-validated, in motion", "all", "raw", "unit")
     note = "Cross-validated: on blocks left out, joints in motion. All, raw: errors of training."
     facts = [
@@ -411,11 +385,7 @@ def effect_page(label: str) -> str:
 def _descriptions(labels: Iterable[str], *, title: str = "Effects in this report") -> Section:
     """Return the descriptions of effects: formula, coefficients, rivals, and what reveals them."""
     effects = [
-        {
-            "label": label,
-            "anchor": anchor,
-            "facts": [_fact(*fact) for fact in describe(make(label))],
-        }
+        {"label": label, "anchor": anchor, "facts": [_fact(*f) for f in describe(make(label))]}
         for label, anchor in anchors(dict.fromkeys(labels)).items()
     ]
     return Section(title, "effects.html", {"effects": effects}, folded=True)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import io
 import tempfile
-import time
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePath
@@ -21,7 +20,7 @@ from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.comparison.comparison import verdict_sentences
 from lieid_casadi.compiled import compile
-from lieid_casadi.diagnosis import Proposal, change_torque, diagnose
+from lieid_casadi.diagnosis import change_torque, diagnose
 from lieid_casadi.errors import LieidWarning, ModelError, RecordingError, UsageError
 from lieid_casadi.exporters.export import export
 from lieid_casadi.identification import Fit, identify
@@ -42,7 +41,6 @@ from lieid_casadi.workbench.evaluation import (
     Effort,
     Evaluation,
     OpenedInputs,
-    SimulationError,
     effect_curves,
     effect_rows,
     found_effects,
@@ -125,15 +123,9 @@ class Computation:
         ``processing`` is that of the fits of another process, so that all have the same filter.
         """
         self._processing = self._processing or processing
-        begun, cpu = time.perf_counter(), time.process_time()
         self._shapes = shapes | self._shapes
         effort = self._effort(step, quick=quick)
-        evaluation = self._evaluation(self._fit(step, effort, report), step, effort)
-        return replace(
-            evaluation,
-            seconds=time.perf_counter() - begun,
-            cpu_seconds=time.process_time() - cpu,
-        )
+        return self._evaluation(self._fit(step, effort, report), step, effort)
 
     def fit(self, step: ModelStep, report: Progress) -> Fit:
         """Return the exact fit of a step, with standard deviations."""
@@ -144,29 +136,21 @@ class Computation:
         step: ModelStep,
         *,
         report: Progress,
-        found: Callable[[Proposal], None],
         processing: Processing | None = None,
     ) -> tuple[FoundEffects, bytes]:
         """Return the effects that the model of a step lacks, and the fit with all of them.
 
-        With a kept fit, what has changed since. ``found`` is called with each effect as it is
-        found. The fit is the content of a file, for `adopt`.
+        With a kept fit, what has changed since. The fit is the content of a file, for `adopt`.
         """
         self._processing = self._processing or processing
         train, test = self.used(step)
         if self._kept_fit is not None:
             return found_effects(diagnose(self._kept_fit, test, progress=report), step.effects), b""
-
-        def ask(proposal: Proposal) -> bool:
-            found(proposal)
-            return True
-
         diagnosis = diagnose(
             Model(self.robot, step.effects),
             train,
             test or None,
             processing=self._processing,
-            ask=ask,
             progress=report,
         )
         return found_effects(diagnosis, step.effects), content_of(diagnosis.fit)
@@ -184,18 +168,6 @@ class Computation:
     ) -> dict[str, EffectCurve]:
         """Return the torque of each effect of a step along a recording, by the effect's label."""
         return effect_curves(self.fit(step, report), self.recordings[recording])
-
-    def simulate(self, step: ModelStep, *, report: Progress) -> SimulationError:
-        """Return how far a simulation with a step's fit leaves the measured motion.
-
-        That of the test, of the training without a test.
-        """
-        if step.changes:
-            reason = "changes since the fit are not part of a simulation"
-            return SimulationError(0.0, (None,) * self.robot.n, reason)
-        train, test = self.used(step)
-        drift = window_drift(self.fit(step, report), test or train)
-        return SimulationError(drift.window, tuple(numbers_or_none(drift.drift.rms)), drift.reason)
 
     def motion(self, recording: int) -> ArmMotion:
         """Return the poses of the arm along a recording."""

@@ -254,25 +254,12 @@ class FindingsView(View):
             exact = "" if evaluation.exact else "\nPreliminary; the exact fit is computed."
             self._verdict.text = evaluation.sentence + exact
         if evaluation is not None:  # for tests and the benchmark of the latency
-            props = self._whole.props
-            props["data-complete"] = str(evaluation.complete).lower()
-            props["data-seconds"] = f"{evaluation.seconds:.4f} {evaluation.cpu_seconds:.4f}"
+            self._whole.props["data-complete"] = str(evaluation.complete).lower()
         present = () if step is None else step.effects_and_changes
         missing = [] if found is None else [p for p in found.proposed if p.label not in present]
         self._all.text = f"Add all {len(missing)}" if len(missing) > 1 else "Add it"
         self._all.set_visibility(bool(missing) and not searching)
-        if searching:
-            self._list.show(
-                *(
-                    part(
-                        "value",
-                        f"found: {p.label}, held-out error of joint {p.joint + 1} "
-                        f"{figures(p.before)} → {figures(p.after)} N·m",
-                    )
-                    for p in workbench.arriving
-                )
-            )
-        elif found is not None:
+        if found is not None and not searching:
             self._list.show(*_findings(found, present, changed=session.inputs.mode == "changed"))
         else:
             self._list.show()
@@ -320,12 +307,6 @@ def _finding(proposed: ProposedEffect, *, present: bool, changed: bool) -> Marku
         errors = f"{figures(before)} → {figures(after)} N·m ({change})"
         tip = "unseen error of the joint: with all that was found but this, and with all"
         shown.append(part("number", errors, tip=tip))
-    if proposed.selected is not None:
-        chosen = "part of the searches, each without a part of the data, in which it was chosen"
-        shown.append(part("number muted small", f"{100.0 * proposed.selected:.0f} %", tip=chosen))
-    if proposed.confirmed is False:
-        meaning = "the error on the test does not fall"
-        shown.append(part("small warning", "not on the test", tip=meaning))
     if present:
         shown.append(part("muted small", "shown" if changed else "in the model"))
     else:

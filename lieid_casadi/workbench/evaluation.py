@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.comparison.comparison import error_table
 from lieid_casadi.comparison.series import Series, effect_torques
 from lieid_casadi.diagnosis import Diagnosis, Step
 from lieid_casadi.diagnosis.findings import finding, unexplained_sentence
@@ -22,13 +21,7 @@ from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.report.reports import diagnosis_summary
 from lieid_casadi.tables import Table, make_table
 from lieid_casadi.workbench.arm import ArmMesh, arm_meshes
-from lieid_casadi.workbench.session import (
-    FoundEffects,
-    Numbers,
-    ProposedEffect,
-    Session,
-    StepErrors,
-)
+from lieid_casadi.workbench.session import FoundEffects, ProposedEffect, Session, StepErrors
 
 LONGEST = 40.0  # s of the recording that the curves of effects are made of
 POINTS = 160
@@ -96,18 +89,6 @@ def opened_inputs(model: Model, recordings: Sequence[Recording], *, file: str) -
 
 
 @dataclass(frozen=True)
-class SimulationError:
-    """How far a simulation leaves the measured motion at the ends of windows of some seconds.
-
-    Per joint, rad or m; ``reason`` says why there is no simulation, and is empty if there is one.
-    """
-
-    window: float
-    rms: Numbers
-    reason: str
-
-
-@dataclass(frozen=True)
 class EffectRow:
     """One effect of the model on one joint (from 0; None: on the whole arm).
 
@@ -145,8 +126,7 @@ class Evaluation:
     and ``complete`` if it has the standard deviations and the noise floor of this model, too.
     ``train`` compares with the recordings that were fitted, ``test`` with the others (all, if the
     fit is kept); their series are named by the recordings' titles. Later fits start from ``shapes``
-    (by label); ``cutoff`` is that of the filter in ``processing``, Hz; the computation took
-    ``seconds``, and ``cpu_seconds`` of the processor.
+    (by label); ``cutoff`` is that of the filter in ``processing``, Hz.
     """
 
     exact: bool
@@ -159,8 +139,6 @@ class Evaluation:
     shapes: dict[str, float]
     cutoff: float
     processing: Processing | None = None
-    seconds: float = 0.0
-    cpu_seconds: float = 0.0
 
 
 def series_of(evaluation: Evaluation | None, title: str) -> list[Series]:
@@ -201,32 +179,6 @@ def difference_tables(
             ["effect", *models],
             [[label, *both] for label, both in values.items() if both[0] != both[1]],
         ),
-    ]
-
-
-def page_tables(session: Session, opened: OpenedInputs, evaluation: Evaluation) -> list[Table]:
-    """Return what the page lists as tables: errors, effects, history, and what was found."""
-    comparison = evaluation.test or evaluation.train
-    assert comparison is not None
-    names, unseen = opened.joint_names, session.error_name
-    history = [
-        [k, step.title, f"{j + 1} {names[j]}", step.errors.train[j], step.errors.shown[j]]
-        for k, step in enumerate(session.history, start=1)
-        if step.errors is not None
-        for j in range(len(names))
-    ]
-    found = [
-        [p.label, p.status, p.before, p.after, p.selected, p.sentence or p.value]
-        for p in (session.found.proposed if session.found is not None else ())
-    ]
-    effects = [[row.label, row.effect.formula, *row.values] for row in evaluation.effects]
-    widest = max((len(row) for row in effects), default=2)
-    columns = ["effect", "formula", *(f"value {k}" for k in range(1, widest - 1))]
-    return [
-        replace(error_table(comparison), title="errors"),
-        make_table("effects", columns, (row + [""] * (widest - len(row)) for row in effects)),
-        make_table("history", ["step", "model", "joint", "train", unseen], history),
-        make_table("found", ["effect", "status", "before", "after", "selected", "finding"], found),
     ]
 
 
@@ -280,8 +232,8 @@ def effect_curves(fit: Fit, recording: Recording) -> dict[str, EffectCurve]:
     load = fit.compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, fit.link_parameters)
     signals = {"load": load, "time": np.repeat(segment.t[:, None], segment.n, axis=1)}
     curves = {}
-    for each in effect_torques(fit, segment):
-        placement, name = each.placement, _axis(each.placement.effect)
+    for placement, torque in effect_torques(fit, segment):
+        name = _axis(placement.effect)
         values = signals.get(name, getattr(segment, name, None))
         if placement.whole_arm or values is None:
             continue
@@ -290,7 +242,7 @@ def effect_curves(fit: Fit, recording: Recording) -> dict[str, EffectCurve]:
         rows = np.linspace(0, len(x) - 1, POINTS).astype(int)
         unit = AXES[name][0 if fit.model.robot.joints[joint].revolute else 1]
         curves[placement.label] = EffectCurve(
-            name, unit, tuple(x[rows].tolist()), tuple(each.torque[rows, joint].tolist())
+            name, unit, tuple(x[rows].tolist()), tuple(torque[rows, joint].tolist())
         )
     return curves
 
@@ -335,8 +287,6 @@ def _proposed(step: Step, mode: str, errors: Array) -> ProposedEffect:
         joint=step.joint,
         before=number_or_none(before),
         after=number_or_none(after),
-        selected=step.evidence.selected,
-        confirmed=step.confirmed,
         rivals=tuple((rival.label, rival.kind) for rival in step.rivals),
         value=", ".join(
             value_text(name, value, step.std.get(name), step.units.get(name, ""))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -32,7 +31,7 @@ from lieid_casadi.workbench.elements import (
     set_text,
     text,
 )
-from lieid_casadi.workbench.evaluation import SimulationError, difference_tables, series_of
+from lieid_casadi.workbench.evaluation import difference_tables, series_of
 from lieid_casadi.workbench.session import ModelStep, Numbers, StepErrors
 from lieid_casadi.workbench.workbench import Workbench
 
@@ -45,7 +44,7 @@ HEADINGS = {
 
 
 class JointsView(View):
-    """Two lines per joint: its name and error; noise floor, ratio, fit, simulation error."""
+    """Two lines per joint: its name and error; noise floor, ratio, fit."""
 
     def __init__(self, workbench: Workbench) -> None:
         super().__init__(workbench)
@@ -53,7 +52,6 @@ class JointsView(View):
         with ui.column().classes("panel w-full"):
             self._title = ui.label("Error of each joint").classes("panel-title")
             self._list = Parts("joint-list", self._select)
-            self._reason = text("", "muted small w-full", "not-simulated")
 
     async def _select(self, joint: str) -> None:
         self.workbench.show(replace(self.workbench.session, joint=int(joint)))
@@ -61,11 +59,8 @@ class JointsView(View):
     def update(self) -> None:
         """Show the errors of the current step; while it is fitted, the last ones, in grey."""
         workbench, opened = self.workbench, self.workbench.opened
-        session, simulation = workbench.session, workbench.simulation
+        session = workbench.session
         set_text(self._title, HEADINGS[session.error_name])
-        reason = "" if simulation is None else simulation.reason
-        set_text(self._reason, reason and f"Not simulated: {reason}.")
-        self._reason.set_visibility(bool(reason))
         errors = None if session.step is None else session.step.errors
         outdated = "" if errors is not None else "outdated"
         self._errors = errors or (self._errors if session.can_undo else None)
@@ -86,7 +81,7 @@ class JointsView(View):
         inexact = "inexact" if evaluation is not None and not evaluation.exact else ""
         selected = "selected" if workbench.session.joint == j else ""
         error, number = UNKNOWN, j + 1
-        noise = multiple = fit = other = drift = ""
+        noise = multiple = fit = other = ""
         colour = ratio_colour(None)
         if errors is not None:
             error = f"{figures(errors.shown[j])} {opened.units[j]}"
@@ -95,8 +90,6 @@ class JointsView(View):
             multiple = "" if over is None else f"{over:.1f} ×"
             fit = "" if percent is None else f"{percent:.1f} % fit"
             colour = ratio_colour(over)
-            if workbench.simulation is not None and not state:
-                drift = self._drift(workbench.simulation, j)
             if workbench.compared is not None:
                 other = _difference(workbench.compared.errors.shown[j], errors.shown[j])
         return part(
@@ -110,21 +103,10 @@ class JointsView(View):
                 cut_part("number noise", noise or UNKNOWN, id=f"noise-{number}"),
                 cut_part("number noise", multiple),
                 cut_part("number", fit, id=f"fit-percent-{number}"),
-                cut_part("number ellipsis", drift, id=f"simulated-{number}"),
             ),
             id=f"joint-{number}",
             action=str(j),
         )
-
-    def _drift(self, simulation: SimulationError, j: int) -> str:
-        """Return the simulation error of a joint as text."""
-        rms, opened = simulation.rms[j], self.workbench.opened
-        if rms is None or opened is None:
-            return ""
-        turns = opened.revolute[j]
-        degrees = turns and self.workbench.session.degrees
-        value, unit = (math.degrees(rms), "°") if degrees else (rms, " rad" if turns else " m")
-        return f"{figures(value, digits=2)}{unit} off after {simulation.window:g} s"
 
 
 def _difference(other: float | None, error: float | None) -> str:

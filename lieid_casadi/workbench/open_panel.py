@@ -8,7 +8,6 @@ import itertools
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -20,16 +19,13 @@ from lieid_casadi.workbench.elements import View, button, icon_button, named, te
 from lieid_casadi.workbench.session import (
     RecordingInput,
     Role,
-    Session,
     WorkbenchInputs,
-    saved_sessions,
     upload_file,
 )
 from lieid_casadi.workbench.workbench import Workbench
 
 ROBOT_FILES = (".urdf", ".xml", ".yaml", ".yml", ".json")
 LARGEST_UPLOAD = 4 << 30  # bytes
-RECENT = 6
 #: Options of the command line that are fields of the form.
 OPTIONS = {
     "tip": "last link (URDF)",
@@ -70,21 +66,17 @@ MODES = {
 
 
 class OpenPanel(View):
-    """A form for the inputs; errors are shown beside the field that they are about."""
+    """A form for the inputs, with the error of the last opening."""
 
     def __init__(self, workbench: Workbench) -> None:
         super().__init__(workbench)
         self._recordings: list[RecordingInput] = []
-        self._error_place: ui.column | None = None
         with ui.column().classes("panel open-panel") as self._panel:
             with ui.element("div").classes("open-columns"):
                 with ui.column().classes("gap-1 w-full"):
                     self._robot_fields()
                 with ui.column().classes("gap-1 w-full"):
                     self._recording_fields()
-                with ui.column().classes("gap-1 w-full"):
-                    ui.label("Recent sessions").classes("panel-title")
-                    self._recent = ui.column().classes("gap-0 w-full")
             with ui.row().classes("items-center"):
                 button("Open these", "open", self._open, "unelevated")
                 button("Close", "close-form", self.toggle)
@@ -107,21 +99,12 @@ class OpenPanel(View):
             if not self._panel.visible:
                 self._fill()
             self._panel.set_visibility(True)
-        self._error.text = "" if failure is None else failure.text
-        self._error.set_visibility(failure is not None)
-        if failure is not None:
-            self._place_error(self._below if failure.about == "recordings" else self._robot_row)
-
-    def _place_error(self, below: ui.column) -> None:
-        """Show the error below the field that it is about."""
-        if self._error_place is not below:
-            self._error_place = below
-            self._error.move(below)
+        self._error.text = failure
+        self._error.set_visibility(bool(failure))
 
     def _robot_fields(self) -> None:
         ui.label("Robot or fit").classes("panel-title")
-        with ui.column().classes("gap-1 w-full") as self._robot_row:
-            self._robot = _field("URDF, MJCF, YAML or fit file, or a bundled name", "open-robot")
+        self._robot = _field("URDF, MJCF, YAML or fit file, or a bundled name", "open-robot")
         self._mode = ui.select(MODES, value="missing", label="with a fit").props("dense")
         named(self._mode.classes("w-full"), "open-mode")
         effects = "effects; empty: coulomb, viscous, offset, or the fit's"
@@ -147,10 +130,9 @@ class OpenPanel(View):
         ui.add_body_html(_DROP.replace("ID", str(upload.id)))
         named(upload.props("flat bordered dense"), "open-files").classes("w-full upload")
         self._list = ui.column().classes("gap-0 w-full")
-        self._below = ui.column().classes("gap-0 w-full")
 
     def _fill(self) -> None:
-        """Show what is open, and the sessions that can be restored."""
+        """Show what is open."""
         inputs = self.workbench.session.inputs
         self._recordings = list(inputs.recordings)
         self._robot.value = inputs.fit or inputs.robot
@@ -159,24 +141,6 @@ class OpenPanel(View):
         for name, field in self._options.items():
             field.value = " ".join(dict(inputs.options).get(name, ()))
         self._list_recordings()
-        self._recent.clear()
-        with self._recent:
-            for name, saved, session in saved_sessions()[:RECENT]:
-                if name == self.workbench.name:
-                    continue
-                given = session.inputs
-                when = datetime.fromtimestamp(saved).strftime("%d %b %H:%M")
-                names = ", ".join(PurePath(r.path).name for r in given.recordings)
-                robot = PurePath(given.fit or given.robot).name
-                row = ui.item(f"{when}  {robot}: {names}; {session.summary}")
-                row.props("dense clickable").on_click(
-                    lambda session=session: self._restore(session)
-                )
-                named(row, "restore-session").classes("history-row small")
-
-    async def _restore(self, session: Session) -> None:
-        self._panel.set_visibility(False)
-        await self.workbench.open(session.inputs, session)
 
     def _list_recordings(self) -> None:
         self._list.clear()

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
 from collections.abc import Callable
-from functools import partial
 from importlib import resources
 
 from nicegui import ui
 
 from lieid_casadi.workbench.arm_view import ArmView
-from lieid_casadi.workbench.commands import python_lines, shell_lines
+from lieid_casadi.workbench.commands import shell_lines
 from lieid_casadi.workbench.effects import EffectsView, FindingsView
 from lieid_casadi.workbench.elements import (
     KEEP_FOCUS,
@@ -23,7 +20,6 @@ from lieid_casadi.workbench.elements import (
     set_text,
     text,
 )
-from lieid_casadi.workbench.evaluation import difference_tables, page_tables
 from lieid_casadi.workbench.joints import (
     DifferenceView,
     HistoryView,
@@ -43,12 +39,10 @@ from lieid_casadi.workbench.workbench import SOON, Work, Workbench
 
 EXPORTS = {
     "report": "Report (HTML)",
-    "tables": "Tables (CSV, zip)",
     "c": "C code (zip)",
     "urdf": "URDF and MuJoCo joints (zip)",
     "mjcf": "MuJoCo model (zip)",
 }
-LANGUAGES = {"Shell": shell_lines, "Python": python_lines}
 
 
 def build_page(workbench: Workbench, token: str) -> Callable[[], None]:
@@ -162,60 +156,36 @@ class Toolbar(View):
 
     async def _save(self, kind: str) -> None:
         client, workbench = self._what.client, self.workbench
-        if kind == "tables":
-            made = self._tables()
-        else:
-            made = await workbench.save(kind)
+        made = await workbench.save(kind)
         if made is not None and not client.is_deleted:  # the tab may be closed meanwhile
             name, content = made
             ui.download.content(content, name)
 
-    def _tables(self) -> tuple[str, bytes] | None:
-        """Return the tables of the page as CSV files in a zip file."""
-        opened, evaluation = self.workbench.opened, self.workbench.evaluation
-        if opened is None or evaluation is None:
-            return None
-        session, other = self.workbench.session, self.workbench.compared
-        tables, position = page_tables(session, opened, evaluation), self.workbench.view.compared
-        if other is not None and position is not None:
-            tables += difference_tables(session, position, (other, evaluation), None)
-        content = io.BytesIO()
-        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-            for table in tables:
-                archive.writestr(f"{table.title}.csv", table.csv)
-        return "tables.zip", content.getvalue()
-
 
 class CommandsDialog:
-    """The shell commands and the Python lines of the step that is shown, to be copied."""
+    """The shell commands of the step that is shown, to be copied."""
 
     def __init__(self, workbench: Workbench) -> None:
         self._workbench = workbench
-        self._texts: dict[str, ui.label] = {}
         with (
             ui.dialog().props("transition-duration=0") as self._dialog,
             ui.card().classes("commands"),
         ):
-            for title in LANGUAGES:
-                with ui.row().classes("w-full items-center"):
-                    ui.label(title).classes("panel-title grow")
-                    copy = f"copy-{title.lower()}"
-                    button("Copy", copy, partial(self._copy, title))
-                self._texts[title] = named(ui.label("").classes("code"), f"command-{title.lower()}")
-            button("Close", "close-commands", self._dialog.close)
+            self._text = named(ui.label("").classes("code"), "command-shell")
+            with ui.row():
+                button("Copy", "copy-shell", self._copy)
+                button("Close", "close-commands", self._dialog.close)
 
     def show(self) -> None:
-        """Show the commands, and copy those for the shell."""
+        """Show the commands, and copy them."""
         session, evaluation = self._workbench.session, self._workbench.evaluation
         if session.step is None:
             return
-        cutoff = None if evaluation is None else evaluation.cutoff
-        for title, label in self._texts.items():
-            label.text = LANGUAGES[title](session, cutoff)
-        self._copy("Shell")
+        self._text.text = shell_lines(session, None if evaluation is None else evaluation.cutoff)
+        self._copy()
         self._dialog.open()
 
-    def _copy(self, title: str) -> None:
+    def _copy(self) -> None:
         # a browser may refuse; the text is in the dialog
-        text = json.dumps(self._texts[title].text)
+        text = json.dumps(self._text.text)
         ui.run_javascript(f"navigator.clipboard?.writeText({text}).catch(() => {{}})")

@@ -51,20 +51,12 @@ NEAR = 0.03  # of the range of a spectrum: a click so near means a peak
 EXCLUDED = "#b0b6bc"
 LEGEND = {"top": 0, "right": 10, "itemHeight": 8, "textStyle": {"fontSize": 11}}
 Line = list[list[float | None]]  # [x, y] pairs; a pair of None interrupts the line
-# Dragging selects; with shift it moves the plot, for which the brush has to let go. A click shows
-# the instant on the arm.
+# Dragging selects; a click shows the instant on the arm.
 _START_BRUSH = """(function start() {
   const chart = getElement(ID)?.chart;
   if (!chart) { setTimeout(start, 20); return; }
-  let brushes = null;
-  const brush = (on) => {
-    if (on === brushes) return;
-    brushes = on;
-    const brushOption = { brushType: on ? 'lineX' : false, brushMode: 'single' };
-    chart.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption });
-  };
-  brush(true);
-  chart.getDom().addEventListener('pointerdown', (event) => brush(!event.shiftKey), true);
+  const brushOption = { brushType: 'lineX', brushMode: 'single' };
+  chart.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption });
   chart.getZr().on('click', (event) => {
     const [time] = chart.convertFromPixel({ gridIndex: 0 }, [event.offsetX, event.offsetY]);
     getElement(ID).$emit('instant', time);
@@ -118,7 +110,7 @@ class TorquePlot(View):
                 self._recording.props("dense borderless options-dense").classes("choice")
                 named(self._recording, "recording")
             with ui.row().classes("w-full items-center gap-2 no-wrap"):
-                hint = "drag: select; wheel: zoom; shift and drag: move; click: show on the arm"
+                hint = "drag: select; wheel: zoom; click: show on the arm"
                 text(hint, "muted small grow ellipsis")
                 self._range = ui.input("select from to, s").props("dense").classes("range")
                 named(self._range, "range").on("keydown.enter", self._select_range)
@@ -278,7 +270,7 @@ def _torque_options(
         "axisPointer": {"link": [{"xAxisIndex": "all"}]},
         "dataZoom": [
             {"type": "inside", "xAxisIndex": [0, 1], "filterMode": "none",
-             "moveOnMouseMove": "shift", "zoomOnMouseWheel": True},
+             "moveOnMouseMove": False, "zoomOnMouseWheel": True},
             {"type": "slider", "xAxisIndex": [0, 1], "filterMode": "none", "height": 16,
              "bottom": 4, "showDataShadow": False, "brushSelect": False},
         ],
@@ -342,11 +334,10 @@ def errors_over_signals(
     window: tuple[float, float] | None,
     *,
     revolute: bool = True,
-    degrees: bool = False,
 ) -> list[ErrorOverSignal]:
     """Return the error over angle, speed, load, time, and temperature where it was recorded.
 
-    In a window of time, s; angles of a joint that turns are in degrees if ``degrees`` says so.
+    In a window of time, s.
     """
     parts = []
     for s in series:
@@ -359,11 +350,10 @@ def errors_over_signals(
     if not parts or not sum(rows.stop - rows.start for _, rows in parts):
         return []
     error, sign = joined("error"), joined("sign")
-    scale = np.degrees(1.0) if degrees and revolute else 1.0
-    angle = ("°" if degrees else "rad") if revolute else "m"
+    angle = "rad" if revolute else "m"
     signals = [
-        ("angle" if revolute else "position", angle, scale * joined("q")),
-        ("speed", f"{angle}/s", scale * joined("dq")),
+        ("angle" if revolute else "position", angle, joined("q")),
+        ("speed", f"{angle}/s", joined("dq")),
         ("load", "N·m" if revolute else "N", joined("load")),
         ("time", "s", np.concatenate([s.time[rows] for s, rows in parts])),
     ]
@@ -405,7 +395,7 @@ class SeriesView(View):
         if evaluation is None or opened is None:
             return
         joint, floor = session.joint, evaluation.errors.noise_floor[session.joint]
-        view = (session.degrees, workbench.view.selection or workbench.view.window)
+        view = workbench.view.selection or workbench.view.window
         name = opened.recordings[session.recording].name
         if self.is_new(
             evaluation.train, evaluation.test, name, joint, floor, view if self.of_view else None
@@ -414,7 +404,7 @@ class SeriesView(View):
             facts = (opened.units[joint], opened.revolute[joint], evaluation.cutoff)
             self.draw(Shown(series, joint, floor, *facts))
 
-    #: Whether the plot depends on the unit of angles and the range of time that is visible.
+    #: Whether the plot depends on the range of time that is visible.
     of_view = False
 
     def draw(self, shown: Shown) -> None:
@@ -428,26 +418,15 @@ class ResidualPlot(SeriesView):
     def __init__(self, workbench: Workbench) -> None:
         super().__init__(workbench)
         with ui.column().classes("panel w-full"):
-            with ui.row().classes("w-full items-center no-wrap"):
-                self._title = text("What the error follows", "panel-title grow")
-                units = ui.toggle({False: "rad", True: "deg"}, value=workbench.session.degrees)
-                named(units.props("dense no-caps size=sm"), "angle-unit")
-                units.on_value_change(self._choose_unit)
+            self._title = text("What the error follows", "panel-title")
             self._chart = Chart("residual-plot", _residual_options([], None, ""))
-
-    def _choose_unit(self, event: ValueChangeEventArguments[bool]) -> None:
-        workbench = self.workbench
-        workbench.show(replace(workbench.session, degrees=bool(event.value)))
 
     of_view = True
 
     def draw(self, shown: Shown) -> None:
         """Draw the selected range of the recording."""
-        view, degrees = self.workbench.view, self.workbench.session.degrees
-        window = view.selection or view.window
-        panels = errors_over_signals(
-            shown.series, shown.joint, window, revolute=shown.revolute, degrees=degrees
-        )
+        window = self.workbench.view.selection or self.workbench.view.window
+        panels = errors_over_signals(shown.series, shown.joint, window, revolute=shown.revolute)
         where = "" if window is None else f", {window[0]:.2f} to {window[1]:.2f} s"
         set_text(self._title, f"What the error of joint {shown.joint + 1} follows{where}")
         self._chart.show(_residual_options(panels, shown.floor, shown.unit))

@@ -15,7 +15,6 @@ import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable
-from dataclasses import dataclass
 from html import escape
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
@@ -41,13 +40,16 @@ except ImportError as error:
 from lieid_casadi.report import effect_page
 from lieid_casadi.workbench.evaluation import OpenedInputs
 from lieid_casadi.workbench.page import build_page
-from lieid_casadi.workbench.session import WorkbenchInputs, WorkerSetup, is_name, load_session
+from lieid_casadi.workbench.session import (
+    WorkbenchInputs,
+    WorkerSetup,
+    is_name,
+    load_session,
+    remove_old_sessions,
+)
 from lieid_casadi.workbench.workbench import Workbench
-from lieid_casadi.workbench.worker import Worker
 
 LOOPBACK = "127.0.0.1"
-DEFAULT_PORT = 8765
-PORTS_TRIED = 100  # after a busy one, for the port that the error names
 LAST_SECONDS = 1.2  # from SIGTERM to the end at the latest
 RECONNECT_SECONDS = 20.0  # that a browser which is busy drawing may be silent
 KEPT_SECONDS = 120.0  # that the processes of a session run on after its tab was closed
@@ -55,15 +57,6 @@ POLICY = (
     "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
     "style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; form-action 'self'"
 )
-
-
-@dataclass(frozen=True)
-class ServerOptions:
-    """Where the page is served; ``exposed`` confirms a host that other machines can reach."""
-
-    host: str = LOOPBACK
-    port: int = DEFAULT_PORT
-    exposed: bool = False
 
 
 class AccessControl:
@@ -142,17 +135,12 @@ class Sessions:
     def __init__(self, inputs: WorkbenchInputs, setup: WorkerSetup) -> None:
         self.inputs, self._setup = inputs, setup
         self._open: dict[str, Workbench] = {}
-        self._spare: Worker | None = Worker(setup)
-        self._spare.start()
 
     def of(self, name: str) -> Workbench:
         """Return the workbench of a session, which is made if no page shows it."""
         if name in self._open:
             return self._open[name]
-        worker, self._spare = self._spare, None
-        made = Workbench(
-            name if is_name(name) else secrets.token_hex(8), self._setup, worker=worker
-        )
+        made = Workbench(name if is_name(name) else secrets.token_hex(8), self._setup)
         self._open[made.name] = made
         return made
 
@@ -171,8 +159,6 @@ class Sessions:
         """End all processes."""
         for workbench in self._open.values():
             workbench.close()
-        if self._spare is not None:
-            self._spare.stop()
 
 
 class _Server(uvicorn.Server):
@@ -206,7 +192,7 @@ class _Server(uvicorn.Server):
 def serve(
     inputs: WorkbenchInputs,
     setup: WorkerSetup,
-    options: ServerOptions,
+    port: int,
     *,
     ready: Callable[[str], None],
 ) -> None:
@@ -217,15 +203,16 @@ def serve(
     Raises
     ------
     UsageError
-        A busy port, or an address that other machines can reach without a confirmation.
+        A port that is busy or not allowed.
     """
     logging.getLogger("nicegui").setLevel(logging.ERROR)
-    with listening_socket(options) as listener:
-        port, token = int(listener.getsockname()[1]), secrets.token_urlsafe(24)
-        url = f"http://{_bracketed(options.host)}:{port}/?token={token}"
+    with listening_socket(port) as listener:
+        token = secrets.token_urlsafe(24)
+        url = f"http://{LOOPBACK}:{port}/?token={token}"
+        remove_old_sessions()
         sessions = Sessions(inputs, setup)
         app = _application(sessions, token)
-        hosts = _host_names(options.host, port)
+        hosts = {f"{LOOPBACK}:{port}", f"localhost:{port}"}
         config = uvicorn.Config(
             AccessControl(app, token=token, hosts=hosts, port=port),
             log_level="error",
@@ -316,64 +303,17 @@ def open_in_browser(url: str) -> None:
     threading.Thread(target=webbrowser.open, args=(Path(name).as_uri(),), daemon=True).start()
 
 
-def listening_socket(options: ServerOptions) -> socket.socket:
-    """Return a bound socket; raises as `serve`."""
-    if options.host not in (LOOPBACK, "localhost", "::1") and not options.exposed:
-        raise UsageError(
-            f"--host {options.host}: other machines could reach the page, and whoever has its URL "
-            "can read recordings with your rights; use an SSH tunnel (ssh -L), or add --yes-expose"
-        )
-    bound = _bound(options.host, options.port)
-    if bound is None:
-        free = _free_port(options.host, options.port)
-        raise UsageError(f"--port {options.port}: is in use; port {free} is free (--port {free})")
-    return bound
-
-
-def _bound(host: str, port: int) -> socket.socket | None:
-    """Return a socket that listens on a port, None if it is in use."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    made = socket.socket(family, socket.SOCK_STREAM)
+def listening_socket(port: int) -> socket.socket:
+    """Return a socket that listens on a port of this machine alone; raises as `serve`."""
+    made = socket.socket()
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        made.bind((host, port))
+        made.bind((LOOPBACK, port))
         made.listen(128)
     except OSError as error:
         made.close()
         if error.errno == errno.EADDRINUSE:
-            return None
-        raise UsageError(
-            f"--host {host} --port {port}: cannot listen there ({error.strerror})"
-        ) from error
+            raise UsageError(f"--port {port}: is in use; expected a free port") from error
+        raise UsageError(f"--port {port}: cannot listen there ({error.strerror})") from error
     made.set_inheritable(False)
     return made
-
-
-def _free_port(host: str, after: int) -> int:
-    for port in range(after + 1, min(after + PORTS_TRIED, 65536)):
-        found = _bound(host, port)
-        if found is not None:
-            found.close()
-            return port
-    with socket.socket() as free:
-        free.bind((LOOPBACK, 0))
-        return int(free.getsockname()[1])
-
-
-def _host_names(host: str, port: int) -> set[str]:
-    names = {host, "localhost", LOOPBACK}
-    if host in ("0.0.0.0", "::"):
-        names |= {socket.gethostname(), socket.getfqdn(), *_own_addresses()}
-    return {f"{_bracketed(name)}:{port}".lower() for name in names}
-
-
-def _own_addresses() -> set[str]:
-    try:
-        found = socket.getaddrinfo(socket.gethostname(), None)
-    except OSError:
-        return set()
-    return {str(entry[4][0]) for entry in found}
-
-
-def _bracketed(host: str) -> str:
-    return f"[{host}]" if ":" in host else host

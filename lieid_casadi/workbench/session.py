@@ -6,7 +6,6 @@ by their owner alone, and nothing in them is executed.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import shutil
@@ -64,15 +63,15 @@ class WorkbenchInputs:
     options: Options = ()
 
     @property
-    def lacking(self) -> tuple[str, str] | None:
-        """What is missing, and whether it is about the ``model`` or the ``recordings``."""
+    def lacking(self) -> str:
+        """What is missing; empty if they can be opened."""
         if not (self.robot or self.fit):
-            return "no robot; expected a file, or a bundled name such as panda", "model"
+            return "no robot; expected a file, or a bundled name such as panda"
         if not self.recordings:
-            return "no recordings; expected at least one", "recordings"
+            return "no recordings; expected at least one"
         if self.mode == "missing" and not self.paths("train"):
-            return "no recording to fit; set at least one of them to “fit”", "recordings"
-        return None
+            return "no recording to fit; set at least one of them to “fit”"
+        return ""
 
     @property
     def words(self) -> list[str]:
@@ -150,10 +149,8 @@ class ProposedEffect:
     """An effect that a diagnosis found, such as ``load_friction:2``.
 
     It is listed under ``joint``, from 0, of ``joints``, from 1 (none: on the whole arm), whose
-    unseen error is ``before`` and ``after``, N·m. ``selected`` is the fraction of the searches
-    without a held-out part that contain it, ``confirmed`` whether the error on the test falls;
-    ``rivals`` have a label and a kind, ``exact`` or ``data``; ``group`` is that of the same effect
-    on several joints, from 1.
+    unseen error is ``before`` and ``after``, N·m. ``rivals`` have a label and a kind, ``exact`` or
+    ``data``; ``group`` is that of the same effect on several joints, from 1.
     """
 
     label: str
@@ -162,8 +159,6 @@ class ProposedEffect:
     joint: int
     before: float | None
     after: float | None
-    selected: float | None = None
-    confirmed: bool | None = None
     rivals: tuple[tuple[str, str], ...] = ()
     value: str = ""
     parameters: tuple[tuple[str, float], ...] = ()
@@ -258,17 +253,11 @@ class Session:
     found: FoundEffects | None = None
     joint: int = 0
     recording: int = 0
-    degrees: bool = False
 
     @property
     def step(self) -> ModelStep | None:
         """The step that is shown."""
         return self.history[self.position] if self.history else None
-
-    @property
-    def summary(self) -> str:
-        """The changes since the first model, in the order of the history."""
-        return ", ".join(step.title for step in self.history[1:]) or START
 
     @property
     def can_undo(self) -> bool:
@@ -294,7 +283,6 @@ class Session:
             inputs=inputs,
             history=(ModelStep(START, tuple(effects)),),
             recording=tested[0] if tested else 0,
-            degrees=self.degrees,
         )
 
     def with_effects(self, title: str, effects: Sequence[str]) -> Session:
@@ -429,25 +417,13 @@ def load_session(name: str) -> Session | None:
     return session
 
 
-def saved_sessions() -> list[tuple[str, float, Session]]:
-    """Return name, time of saving (s since 1970) and content of readable sessions, latest first.
-
-    Files older than a month are deleted.
-    """
-    found = []
+def remove_old_sessions() -> None:
+    """Delete sessions, and the files that were given to them, that are older than a month."""
     for file in session_folder().glob("*.json"):
-        if not (is_name(file.stem) and file.is_file()):  # is_file: not a link to nothing
-            continue
-        saved = file.stat().st_mtime
-        if time.time() - saved > KEPT_DAYS * 86400.0:
+        old = file.is_file() and time.time() - file.stat().st_mtime > KEPT_DAYS * 86400.0
+        if old and is_name(file.stem):
             file.unlink(missing_ok=True)
             shutil.rmtree(file.with_suffix(""), ignore_errors=True)
-            continue
-        with contextlib.suppress(SessionFileError):
-            session = load_session(file.stem)
-            if session is not None and session.history:
-                found.append((file.stem, saved, session))
-    return sorted(found, key=lambda each: -each[1])
 
 
 def _file(name: str) -> Path:

@@ -9,12 +9,11 @@ from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from lieid_casadi.diagnosis import Proposal
 from lieid_casadi.errors import LieidError
 from lieid_casadi.premises import PremiseCheck
 from lieid_casadi.recording import Processing
 from lieid_casadi.workbench.arm import ArmMotion
-from lieid_casadi.workbench.evaluation import EffectCurve, Evaluation, OpenedInputs, SimulationError
+from lieid_casadi.workbench.evaluation import EffectCurve, Evaluation, OpenedInputs
 from lieid_casadi.workbench.session import (
     ModelStep,
     Numbers,
@@ -23,15 +22,9 @@ from lieid_casadi.workbench.session import (
     WorkerSetup,
     save_session,
 )
-from lieid_casadi.workbench.worker import (
-    Failure,
-    Task,
-    Worker,
-    WorkerError,
-    WorkerStopped,
-)
+from lieid_casadi.workbench.worker import Task, Worker, WorkerError, WorkerStopped
 
-KEPT_RESULTS = 72  # evaluations, curves and simulations
+KEPT_RESULTS = 48  # evaluations and curves
 SOON = 1.0  # s; work that takes longer has a progress bar
 PLAY_SECONDS = 0.35, 2.5  # of each model on the way to the last, and of all of them at most
 
@@ -76,8 +69,8 @@ class Work:
 class Workbench:
     """A session with its two worker processes.
 
-    Fits that the user waits for run in one; the search for missing effects, exact fits after quick
-    ones and simulations run in the other, which can be stopped.
+    Fits that the user waits for run in one; the search for missing effects, and exact fits after
+    quick ones run in the other, which can be stopped.
     """
 
     def __init__(self, name: str, setup: WorkerSetup, *, worker: Worker | None = None) -> None:
@@ -85,13 +78,12 @@ class Workbench:
         self.session = Session()
         self.opened: OpenedInputs | None = None
         self.error = ""  # of the last action, one line
-        self.failure: Failure | None = None  # of the last opening
+        self.failure = ""  # of the last opening, one line
         self.started = False  # whether something was opened, or the form was shown
         self.computing = True  # a fit that the user waits for, until `open` has ended
         self.searching: Work | None = None
         self.saving: Work | None = None
         self.fitting: Work | None = None  # that the user waits for
-        self.arriving: list[Proposal] = []  # what the search has found so far
         self.playing: Numbers | None = None  # errors on the way to those of a model
         self.view = PlotView()
         self.motion: ArmMotion | None = None
@@ -123,11 +115,6 @@ class Workbench:
     def curves(self) -> dict[str, EffectCurve]:
         """Torque of each effect of the step that is shown, by its label; empty until computed."""
         return self._result("curves", self.session.step) or {}
-
-    @property
-    def simulation(self) -> SimulationError | None:
-        """Simulation error of the step that is shown; None until computed."""
-        return self._result("simulate", self.session.step)  # type: ignore[no-any-return]
 
     def _result(self, kind: str, step: ModelStep | None) -> Any:
         return None if step is None else self._results.get((kind, step.key))
@@ -171,7 +158,7 @@ class Workbench:
         task.add_done_callback(self._tasks.discard)
 
     def show(self, session: Session) -> None:
-        """Show a session whose model is the same: another joint, recording or unit."""
+        """Show a session whose model is the same: another joint or recording."""
         moved = session.recording != self.session.recording
         self.session = session
         if moved:
@@ -195,15 +182,14 @@ class Workbench:
         """
         if self._back.busy:
             self._back.stop()
-        self.computing, self.error, self.failure = True, "", None
+        self.computing, self.error, self.failure = True, "", inputs.lacking
         self.changed()
         opened: OpenedInputs | None = None
         try:
-            if inputs.lacking is not None:
-                raise WorkerError(Failure(*inputs.lacking))
-            opened = await self._front.request("opened", inputs)
+            if not self.failure:
+                opened = await self._front.request("opened", inputs)
         except WorkerError as error:
-            self.failure = error.failure
+            self.failure = str(error)
         except WorkerStopped:
             pass
         self.computing = opened is not None
@@ -279,9 +265,8 @@ class Workbench:
         step, inputs = self.session.step, self.session.inputs
         if step is None or self.searching is not None:
             return
-        self.error, self.arriving = "", []
-        options = {"processing": self._filter, "found": self._arrived}
-        made = await self._long("searching", self._back, "find", step, **options)
+        self.error = ""
+        made = await self._long("searching", self._back, "find", step, processing=self._filter)
         if made is not None and self.session.inputs is inputs:
             found, content = made
             self.session = replace(self.session, found=found)
@@ -291,7 +276,6 @@ class Workbench:
                 adopted = self._follow(self._front, "adopt", final, content=content)
                 self.background(adopted)
             self.changed()
-        await self._simulate()
 
     def stop(self) -> None:
         """Stop the search for missing effects, and a fit or export that the user waits for."""
@@ -358,11 +342,6 @@ class Workbench:
         if self.session.inputs is inputs:
             self.premises = made
             self.changed()
-            await self._simulate()
-
-    def _arrived(self, proposal: Proposal) -> None:
-        self.arriving.append(proposal)
-        self.changed()
 
     async def _evaluate(self) -> None:
         """Fit the step that is shown, quickly; the rest follows in the background."""
@@ -403,7 +382,6 @@ class Workbench:
         if not shown.complete and not await self._completed(worker, step, shown):
             return
         await self._follow(worker, "curves", step, recording=self.session.recording)
-        await self._simulate()
 
     async def _completed(self, worker: Worker, step: ModelStep, quick: Evaluation) -> bool:
         """Replace a quick evaluation; again if the process was stopped meanwhile.
@@ -428,26 +406,15 @@ class Workbench:
         self._keep("evaluation", step, made)
         return True
 
-    async def _simulate(self) -> None:
-        """Simulate the step that is shown after its exact fit, unless the process is busy."""
-        while not self._back.busy and not self._closed:
-            step, evaluation = self.session.step, self.evaluation
-            if step is None or evaluation is None or not evaluation.exact or self.simulation:
-                return
-            if not await self._follow(self._back, "simulate", step):
-                return
-
-    async def _follow(self, worker: Worker, task: Task, step: ModelStep, **options: Any) -> bool:
+    async def _follow(self, worker: Worker, task: Task, step: ModelStep, **options: Any) -> None:
         """Compute what the page is complete without, and show it; what fails is left out."""
         inputs, kind = self.session.inputs, "evaluation" if task == "adopt" else task
         if task != "adopt" and self._result(kind, step) is not None:
-            return True
+            return
         with contextlib.suppress(LieidError):
             made = await worker.request(task, inputs, step=step, **options)
             if self.session.inputs is inputs:
                 self._keep(kind, step, made)
-                return True
-        return False
 
     async def _load_motion(self) -> None:
         inputs = self.session.inputs

@@ -12,19 +12,16 @@ import os
 import signal
 import threading
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Literal
 
-from lieid_casadi.errors import LieidError, RecordingError
+from lieid_casadi.errors import LieidError
 from lieid_casadi.workbench.session import Progress, WorkbenchInputs, WorkerSetup
 
-Task = Literal[
-    "opened", "premises", "evaluate", "find", "adopt", "motion", "curves", "simulate", "save"
-]  # fmt: skip
+Task = Literal["opened", "premises", "evaluate", "find", "adopt", "motion", "curves", "save"]
 PR_SET_PDEATHSIG = 1  # of Linux's prctl: the signal that a process gets when its parent ends
 
 
@@ -39,28 +36,16 @@ class _Request:
 
 
 @dataclass(frozen=True)
-class Failure:
-    """Why a request failed, in one line, and what it is about: ``recordings`` or ``model``."""
-
-    text: str
-    about: str
-
-
-@dataclass(frozen=True)
 class _Reply:
-    """Progress (a stage and a fraction), what was found, a result, or a `Failure`."""
+    """Progress (a stage and a fraction), a result, or an error in one line."""
 
     number: int
-    kind: Literal["progress", "found", "result", "error"]
+    kind: Literal["progress", "result", "error"]
     content: Any
 
 
 class WorkerError(LieidError):
-    """A request that failed; the text of its failure is one line for the page."""
-
-    def __init__(self, failure: Failure) -> None:
-        super().__init__(failure.text)
-        self.failure = failure
+    """A request that failed; its text is one line for the page."""
 
 
 class WorkerStopped(LieidError):
@@ -73,7 +58,6 @@ class _Waiting:
 
     result: asyncio.Future[Any]
     progress: Progress | None
-    found: Callable[[Any], None] | None
 
 
 class Worker:
@@ -111,19 +95,17 @@ class Worker:
         inputs: WorkbenchInputs,
         *,
         progress: Progress | None = None,
-        found: Callable[[Any], None] | None = None,
         **arguments: Any,
     ) -> Any:
         """Return the result of a task; raises `WorkerError` or `WorkerStopped`.
 
-        ``progress`` is called with the stage and fraction, ``found`` with what was found, both in
-        this thread.
+        ``progress`` is called with the stage and fraction in this thread.
         """
         self.start()
         assert self._pipe is not None
         loop = asyncio.get_running_loop()
         number = next(self._numbers)
-        waiting = _Waiting(loop.create_future(), progress, found)
+        waiting = _Waiting(loop.create_future(), progress)
         self._waiting[number] = waiting
         if not self._listening:
             self._listening = True
@@ -164,8 +146,6 @@ class Worker:
             return
         if reply.kind == "progress" and waiting.progress is not None:
             waiting.progress(*reply.content)
-        elif reply.kind == "found" and waiting.found is not None:
-            waiting.found(reply.content)
         elif reply.kind in ("result", "error"):
             del self._waiting[reply.number]
             if waiting.result.done():
@@ -179,7 +159,7 @@ class Worker:
         if self._process is process and self._waiting:
             self._process = None
             text = "the computing process ended unexpectedly (memory?); try again"
-            self._fail(WorkerError(Failure(text, "model")))
+            self._fail(WorkerError(text))
 
 
 def _run(pipe: Connection, setup: WorkerSetup) -> None:
@@ -211,7 +191,7 @@ def _run(pipe: Connection, setup: WorkerSetup) -> None:
             pipe.send(reply)
 
 
-def _prepared(setup: WorkerSetup) -> Failure | None:
+def _prepared(setup: WorkerSetup) -> str | None:
     """Run the preparation, and import what the first request needs; return an error."""
     try:
         import lieid_casadi.workbench.computation  # noqa: F401 - takes a second
@@ -225,27 +205,22 @@ def _prepared(setup: WorkerSetup) -> Failure | None:
 def _answer(state: Any, request: _Request, pipe: Connection) -> Any:
     """Return the result of one request; what reports progress can do so."""
 
-    def send(kind: Literal["progress", "found"], content: object) -> None:
-        pipe.send(_Reply(request.number, kind, content))
+    def report(stage: str, fraction: float) -> None:
+        pipe.send(_Reply(request.number, "progress", (stage, fraction)))
 
-    arguments = dict(request.arguments)
-    if request.task not in ("opened", "adopt", "motion"):
-        arguments["report"] = lambda stage, fraction: send("progress", (stage, fraction))
-    if request.task == "find":
-        arguments["found"] = lambda proposal: send("found", proposal)
-    return getattr(state, request.task)(**arguments)
+    reports = {} if request.task in ("opened", "adopt", "motion") else {"report": report}
+    return getattr(state, request.task)(**request.arguments, **reports)
 
 
-def _failure(error: BaseException) -> Failure:
+def _failure(error: BaseException) -> str:
     """Return an error as one line."""
-    about = "recordings" if isinstance(error, RecordingError) else "model"
     text = " ".join(str(error).split())
     if isinstance(error, OSError):
         place = "" if error.filename is None else f"{error.filename}: "
         text = f"{place}{error.strerror or text}"
     elif not isinstance(error, LieidError):
         text = f"internal error: {type(error).__name__}: {text}"
-    return Failure(text, about)
+    return text
 
 
 def _end_with_parent() -> None:

@@ -57,10 +57,10 @@ def test_plot_draws_one_joint_into_given_axes(comparison):
 
 
 def test_errors_are_drawn_against_each_signal(comparison):
-    axes = np.reshape(comparison.plot_errors().axes, (2, 5))
+    axes = np.reshape(comparison.plot_errors().axes, (2, 4))
     (series,) = comparison.series
     for joint in range(2):
-        for column, signal in ((0, series.q), (1, series.dq), (3, series.load)):
+        for column, signal in ((0, series.q), (1, series.dq), (2, series.load)):
             clouds = [line for line in axes[joint, column].get_lines() if line.get_marker() == "."]
             points = np.vstack([np.transpose(line.get_data()) for line in clouds])
             expected = np.column_stack([signal[:, joint], series.error[:, joint]])

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.cli.main import main
 from lieid_casadi.excitation import Torque, excite
 from lieid_casadi.excitation.design import ExcitationProblem, make_design
 from lieid_casadi.excitation.ipopt import Ipopt, ObjectiveValue, run_ipopt
@@ -30,24 +29,6 @@ def test_the_solver_reads_no_clock(problem, monkeypatch):
     monkeypatch.setattr(time, "monotonic", lambda: 3600.0 * next(hours))
     slow = Search(problem, 0).solve()
     np.testing.assert_array_equal(quick.z, slow.z)
-
-
-@pytest.mark.parametrize(
-    ("option", "message"),
-    [
-        (["--solver", "sqp"], "Ipopt is the only solver"),
-        (["--family", "spline"], "use --basis"),
-        (["--torque-fraction", "0.5"], "use --margin"),
-    ],
-)
-def test_options_that_were_removed(tmp_path, capsys, option, message):
-    target = tmp_path / "x"
-    with pytest.raises(SystemExit, match="2"):
-        main(["excite", "two_link", "-o", str(target), *option])
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert message in error
-    assert not target.exists()
 
 
 @pytest.fixture(scope="module")

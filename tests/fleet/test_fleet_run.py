@@ -127,7 +127,6 @@ def test_a_fit_that_cannot_be_used_fails_its_arm_only(fleet_folder, scheduler, c
     [
         (["{}/none.yaml", "-o", "{}/h"], "no such file"),
         (["{}/fleet.yaml"], "no history"),
-        (["{}/fleet.yaml", "-o", "{}/fleet.yaml2", "--workers", "0"], "expected 1 or more"),
         (["{}/fleet.yaml", "-o", "{}/h", "--scheduler", "nonsense"], "no Dask scheduler"),
         (["{}/no_fits.yaml", "-o", "{}/h"], "A9.json: no such file"),
         (["{}/fleet.yaml", "-o", "{}/fits/A1.json"], "not a history"),

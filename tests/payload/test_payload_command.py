@@ -105,7 +105,7 @@ def _reversed(files):
         (_reversed, ["--despite-check"], "no payload explains this run"),
         (None, ["--cutoff", "-1"], "cutoff"),
         (None, ["--cutoff", "fast"], "expected a number"),
-        (None, ["--torque-constants", "1,2,3"], "3 numbers; expected 2"),
+        (None, ["--torque-constants", "1,2,3"], "3 numbers; expected 1 or 2"),
         (lambda files: files / "gone.csv", [], "no such file"),
     ],
 )

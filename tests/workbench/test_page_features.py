@@ -81,7 +81,6 @@ def test_a_selected_range_is_excluded_and_the_files_are_saved(start, browse, two
     command = "lieid identify two_link"
     page.click("copy-command", done=lambda: command in page.text("command-shell"))
     assert "test.npz@" in page.text("command-shell")
-    assert "lieid.Model(" in page.text("command-python")
     page.click("close-commands", done=lambda: not page.shown("command-shell"))
     page.click("save-fit")
     fit = page.downloaded("fit.json")

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from lieid_casadi.workbench.evaluation import Evaluation, SimulationError
+from lieid_casadi.workbench.evaluation import Evaluation
 from lieid_casadi.workbench.session import (
     FoundEffects,
     ProposedEffect,
@@ -41,11 +41,10 @@ class Process:
     def __init__(self):
         self.busy, self.asked, self.go = False, [], asyncio.Event()
         self.slow, self.stopped = False, False
-        self.simulated, self.meanwhile = None, lambda: None
 
     async def request(self, task, inputs, *, step, **options):
         if task != "evaluate":
-            return await self.follow(task, step)
+            await asyncio.Event().wait()  # curves are never computed here
         self.asked.append(("quick" if options["quick"] else "whole", step.effects[-1]))
         while self.slow:
             options["progress"]("fit", 0.25)
@@ -60,14 +59,6 @@ class Process:
 
     def stop(self):
         self.stopped = True
-
-    async def follow(self, task, step):
-        """Return simulation errors where a test asks for them; curves are never computed here."""
-        if task != "simulate" or self.simulated is None:
-            await asyncio.Event().wait()
-        self.simulated.append(step)
-        self.meanwhile()
-        return SimulationError(1.0, (0.1,), "")
 
 
 @pytest.fixture
@@ -163,54 +154,6 @@ def test_a_result_that_lands_after_undo_belongs_to_its_step(page):
         await workbench.apply(workbench.session.at(1))
         assert shown[-1] == (True, True, "quick series")
         assert workbench._front.asked.count(("quick", "viscous:1")) == 1
-
-    asyncio.run(run())
-
-
-def simulating(workbench, *steps):
-    """Let the other process simulate; the steps have their exact fits."""
-    workbench._back.simulated = []
-    for step in steps:
-        workbench._keep("evaluation", step, evaluation(exact=True, complete=True, series=""))
-
-
-def test_a_busy_process_is_not_asked_to_simulate(page):
-    async def run():
-        workbench, _ = page()
-        simulating(workbench, workbench.session.step)
-        workbench._back.busy = True
-        await workbench._simulate()
-        assert workbench._back.simulated == []
-        assert workbench.simulation is None
-
-    asyncio.run(run())
-
-
-def test_the_step_that_is_shown_meanwhile_is_simulated_next_and_each_once(page):
-    async def run():
-        workbench, _ = page()
-        one, two = workbench.session, workbench.session.with_added("viscous:1")
-        simulating(workbench, one.step, two.step)
-        workbench._back.meanwhile = lambda: setattr(workbench, "session", two)
-        for _ in range(2):
-            await workbench._simulate()
-        assert [s.effects for s in workbench._back.simulated] == [
-            one.step.effects,
-            two.step.effects,
-        ]
-        assert workbench.simulation.rms == (0.1,)
-
-    asyncio.run(run())
-
-
-def test_results_of_other_inputs_are_dropped(page):
-    async def run():
-        workbench, _ = page()
-        simulating(workbench, workbench.session.step)
-        other = replace(workbench.session, inputs=WorkbenchInputs(robot="panda"))
-        workbench._back.meanwhile = lambda: setattr(workbench, "session", other)
-        await workbench._simulate()
-        assert workbench.simulation is None
 
     asyncio.run(run())
 
