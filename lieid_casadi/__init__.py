@@ -43,7 +43,6 @@ __all__ = [
     "Shape",
     "Signals",
     "Simulation",
-    "StagedFit",
     "SymbolicDynamics",
     "Symbols",
     "Torque",
@@ -64,7 +63,6 @@ __all__ = [
     "floor",
     "friction",
     "identify",
-    "identify_in_stages",
     "identify_payload",
     "jerk_limit",
     "predict",
@@ -94,7 +92,7 @@ _HOME = {
         "experiments": "Experiment PlannedMotion experiment",
         "exporters.export": "Export export",
         "expressions.symbolic": "SymbolicDynamics symbolic",
-        "friction_curves": "FrictionFit StagedFit friction identify_in_stages",
+        "friction_curves": "FrictionFit friction",
         "gains": "DriveGains drive_gains",
         "identification": "Fit identify",
         "identification.fit": "predict",
@@ -144,7 +142,6 @@ if TYPE_CHECKING:
     from lieid_casadi.exporters.export import Export, export
     from lieid_casadi.expressions.symbolic import SymbolicDynamics, symbolic
     from lieid_casadi.friction_curves.friction_fit import FrictionFit, friction
-    from lieid_casadi.friction_curves.stages import StagedFit, identify_in_stages
     from lieid_casadi.gains.identify import DriveGains, drive_gains
     from lieid_casadi.identification.fit import Fit, predict
     from lieid_casadi.identification.identify import identify

@@ -95,8 +95,7 @@ def section(lab: Lab) -> Section:
 
 def prediction_errors(fit: FrictionFit, curve: FrictionCurve) -> Array:
     """Return measured − predicted friction (G,) at the points of another curve, N·m."""
-    columns = curve.data.columns(fit.compiled, curve.joint, fit.shapes)
-    return np.asarray(curve.friction - columns @ fit.coefficients)
+    return np.asarray(curve.friction - fit.friction(curve.speed, load=curve.load))
 
 
 def prediction_error(fit: FrictionFit, curve: FrictionCurve) -> float:

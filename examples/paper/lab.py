@@ -22,6 +22,7 @@ from arm import (
     with_payload,
 )
 from friction_runs import SWEEP_RATE, friction_runs
+from stages import combine_stages
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -31,7 +32,6 @@ from lieid_casadi.excitation.friction_sweep import SPEEDS
 from lieid_casadi.friction_curves import (
     FrictionCurve,
     FrictionFit,
-    combine_stages,
     fit_friction,
     friction_curve,
 )

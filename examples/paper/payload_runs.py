@@ -54,7 +54,7 @@ def section(lab: Lab) -> Section:
         + f"\nEq. 18 is `{EQ_18}`. The two stages of the paper are links and Eq. 17 from "
         "excitation, then Eq. 18 from single joints at 0.1 to 30 °/s. The cubic polynomial of "
         "Eq. 18 does not extrapolate to the speeds of the excitation. The third stage "
-        "(`lieid.identify_in_stages`) identifies links, offset and the polynomial again from the "
+        "(`stages.py`) identifies links, offset and the polynomial again from the "
         "excitation, with the load-dependent and Stribeck friction of the second stage "
         "subtracted.\n"
     )

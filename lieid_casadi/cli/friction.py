@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, output
@@ -12,37 +11,29 @@ from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.friction_curves import FrictionFit
-    from lieid_casadi.friction_curves.friction_fit import RankedFrictionModel
     from lieid_casadi.identification import Fit
     from lieid_casadi.robot import Robot
 
 
 @command("friction", "friction of one joint from its motion in both directions")
 def run(args: argparse.Namespace) -> output.Outcome:
-    """Determine the friction of one joint from its motion in both directions.
-
-    Friction models are fitted to it.
+    """Determine the friction of one joint from its motion in both directions, and fit a model.
 
     @ROBOT
     recordings REC …: input  recordings in which the joint moves in both directions
     --joint J: int required  number of the joint, from 1
     --effects A,B,…  friction model: effects, or the name of a model such as paper; default:
-        all models of the literature are fitted and ranked
+        coulomb,viscous,stribeck, and load_friction where the load varies
     --fit FIT: input  fit of the whole arm, whose rigid torque is used
     --load {model,measured}  source of the load torque; default: model
     --plot FILE: picture  draw the curve and the fit
-    --seed N: seed = 0  seed of the search
     @RECORDING
     --cutoff HZ: number  cut-off frequency of the low-pass filter
     @JSON
     """
     from lieid_casadi.friction_curves import fit_friction, friction_curve
     from lieid_casadi.friction_curves.curve import curve_table
-    from lieid_casadi.friction_curves.friction_fit import (
-        parameter_table,
-        rank_friction_models,
-        ranking_table,
-    )
+    from lieid_casadi.friction_curves.friction_fit import parameter_table
     from lieid_casadi.recording import Processing
 
     robot = inputs.robot_of(args)
@@ -56,52 +47,19 @@ def run(args: argparse.Namespace) -> output.Outcome:
         processing=Processing(cutoff=args.cutoff),
         load=args.load,
     )
-    ranked: Sequence[RankedFrictionModel] = ()
-    if args.effects is not None:
-        fit = fit_friction(curve, args.effects, seed=args.seed)
-    else:
-        with output.progress("friction models") as report:
-            ranked = rank_friction_models(curve, seed=args.seed, progress=report)
-        fit = ranked[0].fit
-    models = (c.model for c in ranked if c.model.note)
+    fit = fit_friction(curve, args.effects)
     return output.Outcome(
-        (
-            curve_table(curve),
-            *([ranking_table(ranked)] if ranked else []),
-            *(f"  * {model.form} ({model.name}): {model.note}." for model in models),
-            parameter_table(fit),
-            *curve.warnings,
-            *fit.warnings,
-        ),
-        json=content(fit, ranked),
+        (curve_table(curve), parameter_table(fit), *curve.warnings, *fit.warnings),
+        json=content(fit),
         plot=fit.plot,
     )
 
 
-def content(fit: FrictionFit, ranked: Sequence[RankedFrictionModel]) -> dict[str, Any]:
+def content(fit: FrictionFit) -> dict[str, Any]:
     """Return the JSON of ``lieid friction``."""
     curve, own = fit.curve.to_dict(), fit.to_dict()
     warnings = [*curve.pop("warnings"), *own.pop("warnings")]
-    return {
-        "joint": curve["joint"],
-        "curve": curve,
-        "fit": own,
-        "models": [
-            {
-                "name": c.model.name,
-                "form": c.model.form,
-                "reconstructed": c.model.reconstructed,
-                "effects": list(c.model.effects),
-                "source": c.model.source,
-                "note": c.model.note,
-                "rms": c.fit.rms,
-                "correlation": c.fit.to_dict()["correlation"],
-                "bic": c.fit.bic,
-            }
-            for c in ranked
-        ],
-        "warnings": warnings,
-    }
+    return {"joint": curve["joint"], "curve": curve, "fit": own, "warnings": warnings}
 
 
 def _whole(path: str, robot: Robot) -> Fit:

@@ -21,16 +21,6 @@ class FrictionModel:
     note: str = ""
     reconstructed: bool = False
 
-    @property
-    def form(self) -> str:
-        """The model's effects, without the offset, which a friction curve does not contain."""
-        return " + ".join(effect for effect in self.effects if effect != "offset")
-
-    @property
-    def credit(self) -> str:
-        """The publication, and whether the model is reconstructed after it."""
-        return f"after {self.source}, reconstructed" if self.reconstructed else self.source
-
 
 _PAPER = "Luo et al., Robotica 2024"
 _POLYNOMIAL = ("viscous", "viscous_polynomial")

@@ -1,18 +1,21 @@
-"""Friction curve of a joint from recordings of its forward and backward motion (Eq. 15)."""
+"""Friction curve of a joint from recordings of its forward and backward motion (Eq. 15).
+
+At equal positions the torques of both directions differ by twice the friction. Instants of a
+forward and a backward pass over the same positions are paired, and the pairs averaged in groups of
+similar speed and load.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.compiled import Compiled, compile
+from lieid_casadi.compiled import compile
 from lieid_casadi.errors import (
     JointStillWarning,
     LieidWarning,
@@ -23,15 +26,7 @@ from lieid_casadi.errors import (
     unique_warnings,
     warning_list,
 )
-from lieid_casadi.friction_curves.matching import (
-    Matching,
-    PairGroups,
-    group_pairs,
-    match,
-    standard_errors,
-)
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import Source, check_recordings
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
@@ -44,110 +39,23 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Indices = NDArray[np.intp]
+LoadSource = Literal["model", "measured"]
 
-MOST_INSTANTS = 30  # of a point and direction, if columns are averaged over a subset
-
-
-@dataclass(frozen=True, eq=False)
-class CurveData:
-    """Segments of motion, pairs of instants in them, and groups of pairs."""
-
-    robot: Robot
-    segments: tuple[Processed, ...]  # their temperatures are relative to ``temperature_mean``
-    load: tuple[Array, ...]  # τ_load along each segment, N·m; zero for the other joints
-    matching: Matching
-    groups: PairGroups
-    friction: Array  # (P,) Friction torque of each pair of instants, N·m
-    temperature_mean: Array | None  # (n,) or None Mean temperature of the training recordings, °C
-
-    @property
-    def has_temperature(self) -> bool:
-        """Whether all segments have a temperature."""
-        return all(s.temperature is not None for s in self.segments)
-
-    def columns(
-        self, compiled: Compiled, joint: int, shapes: Array, *, thinned: bool = False
-    ) -> Array:
-        """Return the columns of effects, matched and averaged like the torque.
-
-        The columns are not filtered: near the instants used there is no reversal, and between
-        reversals the filter hardly changes them. Effects with memory are evaluated along the
-        segments.
-        """
-        average, used = self._thinned if thinned else self._whole
-        if compiled.model.states:
-            whole = [
-                self._along(compiled, k, slice(None), shapes)[s.kept, joint]
-                for k, s in enumerate(self.segments)
-            ]
-            return np.asarray(average @ np.concatenate(whole)[used])
-        parts = [
-            self._along(compiled, k, rows, shapes)[:, joint]
-            for k, rows in enumerate(self._rows(used))
-        ]
-        return np.asarray(average @ np.concatenate(parts))
-
-    def _along(
-        self, compiled: Compiled, number: int, rows: slice | NDArray[np.intp], shapes: Array
-    ) -> Array:
-        """Return the columns (R, n, m) at rows of a segment's grid."""
-        s = self.segments[number]
-        return compiled.effect_columns(
-            s.q[rows],
-            s.dq[rows],
-            s.ddq[rows],
-            load=self.load[number][rows],
-            temperature=None if s.temperature is None else s.temperature[rows],
-            time=(s.t - s.t[0])[rows],
-            shapes=shapes,
-            dead_zone=s.dead_zone,
-        )
-
-    @cached_property
-    def _difference(self) -> csr_matrix[np.float64]:
-        """Matrix (G, M) that averages half the difference of both directions."""
-        halves = 0.5 * (self.matching.forward - self.matching.backward)
-        return csr_matrix(self.groups.average @ halves)
-
-    @cached_property
-    def _whole(self) -> tuple[csr_matrix[np.float64], NDArray[np.intp]]:
-        """`_difference` restricted to the samples that it uses (G, U), and their indices (U,)."""
-        return _on_used(self._difference)
-
-    @cached_property
-    def _thinned(self) -> tuple[csr_matrix[np.float64], NDArray[np.intp]]:
-        """The same with at most MOST_INSTANTS per point and direction, weights scaled up."""
-        whole = self._difference
-        entries, columns, starts = [], [], [0]
-        for first, last in zip(whole.indptr[:-1], whole.indptr[1:], strict=True):
-            weights, at = whole.data[first:last], whole.indices[first:last]
-            order = np.argsort(at, kind="stable")
-            weights, at = weights[order], at[order]
-            for direction in (weights > 0.0, weights < 0.0):
-                own, where = weights[direction], at[direction]
-                step = -(-len(own) // MOST_INSTANTS) or 1
-                chosen = own[step // 2 :: step]
-                if len(chosen):
-                    entries.append(chosen * (own.sum() / chosen.sum()))
-                    columns.append(where[step // 2 :: step])
-            starts.append(sum(len(x) for x in entries))
-        some = (np.concatenate(entries), np.concatenate(columns), starts)
-        return _on_used(csr_matrix(some, shape=whole.shape))
-
-    def _rows(self, used: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-        """Return indices of filtered samples as rows of each segment's grid."""
-        ends = np.cumsum([0, *(len(s.filtered_time) for s in self.segments)])
-        return [
-            np.arange(len(s))[s.kept][used[(used >= a) & (used < b)] - a]
-            for s, a, b in zip(self.segments, ends[:-1], ends[1:], strict=True)
-        ]
-
-
-def _on_used(
-    matrix: csr_matrix[np.float64],
-) -> tuple[csr_matrix[np.float64], NDArray[np.intp]]:
-    used = np.unique(matrix.nonzero()[1]).astype(np.intp)
-    return csr_matrix(matrix[:, used]), used
+MOST_ROWS = 30  # of a curve's table; its JSON has all
+LOAD_MISMATCH = 0.1  # difference relative to the RMS of the load that is reported
+LEAST_SAMPLES = 4  # of a pass
+ONE_DIRECTION = 0.99  # least filtered sign of velocity, which excludes samples near reversals
+SPEED_RATIO = 1.3  # largest ratio of the two speeds of a pair
+OTHERS_APART = 0.03  # rad, largest difference of the other joints' positions in a pair
+SPEED_STEP = 0.05  # relative step in which the speeds of two passes are compared
+MOST_SPEEDS = 40  # groups
+FINEST = 0.06  # least relative width of a speed group
+LOADS = 12  # groups
+LOAD_RANGE = 0.2  # range of loads, relative to the largest, below which they form one group
+LEAST_PAIRS = 3  # of a group
+BATCH = 8  # pairs: two periods of the cut-off, beyond which filtered noise is uncorrelated
+PRIOR_WEIGHT = 4.0  # number of batches that the common scatter of all groups counts for
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,15 +65,15 @@ class FrictionCurve:
     It does not contain what differs between the directions (offset, asymmetric friction).
     """
 
+    robot: Robot
     joint: int  # from 0
-    joint_name: str
     unit: str  # unit of the torque
     speed: Array  # (G,) Mean speed of each point, rad/s
     load: Array  # (G,) Mean magnitude of the rigid torque, N·m
     friction: Array  # (G,) Friction torque, N·m
     std: Array  # (G,) Standard error of the friction, N·m
-    #: (G,) int Number of pairs of a forward and a backward pass that contribute to each point
-    count: NDArray[np.intp]
+    #: (G,) Number of pairs of a forward and a backward pass that contribute to each point
+    count: Indices
     load_source: str  # ``model`` (the rigid torque) or ``measured`` (the mean of both directions)
     #: RMS difference between the mean torque of both directions and the model's rigid torque, N·m;
     #: NaN without a model
@@ -173,33 +81,34 @@ class FrictionCurve:
     cutoff: float  # cut-off frequency of the low-pass filter, Hz
     recordings: tuple[Source, ...]
     warnings: tuple[LieidWarning, ...]
-    #: the pairs of instants, from which columns of friction models are averaged
-    data: CurveData = field(repr=False)
 
     def __len__(self) -> int:
         return len(self.speed)
+
+    @property
+    def joint_name(self) -> str:
+        """Name of the joint."""
+        return self.robot.joints[self.joint].name
 
     @property
     def points(self) -> tuple[Array, Array, Array, Array]:
         """Speeds, friction, standard errors and loads (G,)."""
         return self.speed, self.friction, self.std, self.load
 
+    @property
+    def load_varies(self) -> bool:
+        """Whether the points have different loads."""
+        return bool(np.ptp(self.load) > LOAD_RANGE * self.load.max(initial=0.0))
+
     def to_dict(self) -> dict[str, Any]:
         """Return points and provenance for JSON; joints count from 1."""
+        columns = ("speed", "load", "friction", "std", "count")
+        values = [getattr(self, name).tolist() for name in columns]
         return {
             "joint": self.joint + 1,
             "unit": self.unit,
             "points": [
-                {
-                    "speed": float(speed),
-                    "load": float(load),
-                    "friction": float(friction),
-                    "std": float(std),
-                    "count": int(count),
-                }
-                for speed, load, friction, std, count in zip(
-                    self.speed, self.load, self.friction, self.std, self.count, strict=True
-                )
+                dict(zip(columns, point, strict=True)) for point in zip(*values, strict=True)
             ],
             "load_source": self.load_source,
             "load_error": number_or_none(self.load_error),
@@ -225,33 +134,20 @@ class FrictionCurve:
         )
 
 
-MOST_ROWS = 30  # of a curve; its JSON has all
-
-
 def curve_table(curve: FrictionCurve) -> Table:
     """Return the points of a curve over speed, at most `MOST_ROWS` evenly chosen ones."""
-    order = sorted(range(len(curve)), key=lambda k: float(curve.speed[k]))
-    shown = order[:: max(1, -(-len(curve) // MOST_ROWS))]
+    shown = np.argsort(curve.speed, kind="stable")[:: max(1, -(-len(curve) // MOST_ROWS))]
     return make_table(
         f"Friction of joint {curve.joint + 1} {curve.joint_name}: half of forward − backward "
         f"(low-pass {curve.cutoff:.3g} Hz, load {curve.load_source}; {len(shown)} of "
         f"{len(curve)} points)",
         ("speed, rad/s", f"load, {curve.unit}", f"friction, {curve.unit}", "std", "passes"),
         [
-            (
-                float(curve.speed[k]),
-                float(curve.load[k]),
-                float(curve.friction[k]),
-                float(curve.std[k]),
-                int(curve.count[k]),
-            )
+            (float(curve.speed[k]), float(curve.load[k]), float(curve.friction[k]),
+             float(curve.std[k]), int(curve.count[k]))
             for k in shown
         ],
-    )
-
-
-LoadSource = Literal["model", "measured"]
-LOAD_MISMATCH = 0.1  # difference relative to the RMS of the load that is reported
+    )  # fmt: skip
 
 
 def friction_curve(
@@ -264,11 +160,10 @@ def friction_curve(
 ) -> FrictionCurve:
     """Return the friction of one joint from its forward and backward motion.
 
-    At equal positions the torques of both directions differ by twice the friction. Where link
-    parameters are known, the difference of the rigid torque (due to different accelerations and
-    velocities) is subtracted. Suitable are runs at constant speed and any other motion that
-    passes the same positions in both directions while the other joints stand still. Samples near
-    reversals, within the length of the filter, are left out.
+    Where link parameters are known, the difference of the rigid torque (due to different
+    accelerations and velocities) is subtracted. Suitable are runs at constant speed and any other
+    motion that passes the same positions in both directions while the other joints stand still.
+    Samples near reversals, within the length of the filter, are left out.
 
     ``arm``: source of link parameters: identified ones and armatures of a fit, or nominal ones;
     ``recordings``: recordings with torques; ``joint``: from 0; ``processing``: filter options; by
@@ -282,113 +177,60 @@ def friction_curve(
     """
     given = listed(recordings)
     robot = arm.model.robot if isinstance(arm, Fit) else arm
-    _check(robot, given, joint)
-    links = _link_parameters(arm)
-    if links is None and load == "model":
+    if not 0 <= joint < robot.n:
+        raise ModelError(f"no joint {joint + 1}; {robot.name} has joints 1 to {robot.n}")
+    if not given:
+        raise RecordingError("no recordings given; expected at least one")
+    check_recordings(Model(robot), given)
+    known = isinstance(arm, Fit) or arm.has_inertia
+    if not known and load == "model":
         raise RobotError(f"{robot.name}: its links have no inertia; expected load='measured'")
-    compiled = compile(Model(robot))
-    found = [w for r in given for w in check(r, robot)]
-    mean = arm.temperature_mean if isinstance(arm, Fit) else None
-    segments, mean = center_temperature(process(given, processing), mean)
-    found += [w for s in segments for w in s.warnings]
-    names = ", ".join(r.name for r in given if r.name) or "recording"
-    matching = match(segments, joint, name=names)
     source: LoadSource = load or ("model" if isinstance(arm, Fit) else "measured")
-    rigid = [_rigid(compiled, s, links)[:, joint] for s in segments]
-    series = rigid if source == "model" else _measured_load(segments, matching, joint)
-    remaining = [
-        _torque(s)[:, joint] - x - _armature(arm, joint) * s.ddq[:, joint]
-        for s, x in zip(segments, rigid, strict=True)
-    ]
-    remaining_filtered = _filtered(segments, remaining)
-    mismatch = float("nan") if links is None else _rms(matching.half_sum(remaining_filtered))
-    size = _rms(matching.half_sum(_filtered(segments, rigid)))
-    found += _load_warnings(mismatch, size, joint, source)
-    speed, load_torque = matching.speed, matching.half_sum(_filtered(segments, series))
-    data = CurveData(
-        robot=robot,
-        segments=segments,
-        load=tuple(_in_joint(x, joint, robot.n) for x in series),
-        matching=matching,
-        groups=group_pairs(speed, load_torque, matching.stretch),
-        friction=matching.half_difference(remaining_filtered),
-        temperature_mean=mean,
-    )
+    segments = process(given, processing)
+    names = ", ".join(r.name for r in given if r.name) or "recording"
+    pairs = _matched(segments, _torques(arm, segments, joint), joint, names)
+    mismatch = _rms(pairs.rigid - pairs.measured) if known else float("nan")
+    load_torque = np.abs(pairs.rigid if source == "model" else pairs.measured)
+    pairs, load_torque, member = _grouped(pairs, load_torque)
+    size = np.bincount(member)
+    found = [w for r in given for w in check(r, robot)]
+    found += [w for s in segments for w in s.warnings]
+    found += _load_warnings(mismatch, _rms(pairs.rigid), joint, source)
+    trends = np.column_stack([pairs.speed, load_torque])
     return FrictionCurve(
+        robot=robot,
         joint=joint,
-        joint_name=robot.joints[joint].name,
         unit="N·m" if robot.joints[joint].revolute else "N",
-        speed=data.groups.mean(speed),
-        load=data.groups.mean(np.abs(load_torque)),
-        friction=data.groups.mean(data.friction),
-        std=standard_errors(
-            data.groups,
-            data.friction,
-            matching.stretch,
-            matching.samples,
-            np.column_stack([speed, np.abs(load_torque)]),
-        ),
-        count=data.groups.count,
+        speed=np.bincount(member, pairs.speed) / size,
+        load=np.bincount(member, load_torque) / size,
+        friction=np.bincount(member, pairs.friction) / size,
+        std=_standard_errors(pairs, member, trends),
+        count=np.array([len(np.unique(pairs.stretch[member == g])) for g in range(len(size))]),
         load_source=source,
         load_error=mismatch,
         cutoff=segments[0].cutoff,
         recordings=tuple(Source.of(r) for r in given),
-        warnings=_unique(found),
-        data=data,
+        # the other joints stand still as they should
+        warnings=unique_warnings([w for w in found if not isinstance(w, JointStillWarning)]),
     )
 
 
-def _filtered(segments: Sequence[Processed], series: Sequence[Array]) -> Array:
-    return np.concatenate([s.filter(x) for s, x in zip(segments, series, strict=True)])
-
-
-def _measured_load(segments: Sequence[Processed], matching: Matching, joint: int) -> list[Array]:
-    """Return the mean torque of both directions, interpolated by position (K,) per segment.
-
-    Each segment uses its own pairs, or those of all segments if it has none.
-    """
-    mean = matching.half_sum(_filtered(segments, [_torque(s)[:, joint] for s in segments]))
-    ends = np.cumsum([0, *(len(s.filtered_time) for s in segments)])
-    first = matching.forward.indices
-    loads = []
-    for segment, a, b in zip(segments, ends[:-1], ends[1:], strict=True):
-        own = (first >= a) & (first < b)
-        own = own if own.any() else np.ones(len(first), dtype=bool)
-        order = np.argsort(matching.position[own])
-        position, value = matching.position[own][order], mean[own][order]
-        loads.append(np.interp(segment.q[:, joint], position, value))
-    return loads
-
-
-def _check(robot: Robot, recordings: Sequence[Recording], joint: int) -> None:
-    if not 0 <= joint < robot.n:
-        raise ModelError(f"no joint {joint + 1}; {robot.name} has joints 1 to {robot.n}")
-    if not recordings:
-        raise RecordingError("no recordings given; expected at least one")
-    check_recordings(Model(robot), recordings)
-
-
-def _link_parameters(arm: Robot | Fit) -> Array | None:
+def _torques(arm: Robot | Fit, segments: Sequence[Processed], joint: int) -> Array:
+    """Return filtered rigid torque and measured torque without that of the armature (M, 2)."""
+    robot, armature = (arm.model.robot if isinstance(arm, Fit) else arm), 0.0
     if isinstance(arm, Fit):
-        return arm.link_parameters
-    return arm.link_parameters if arm.has_inertia else None
-
-
-def _armature(arm: Robot | Fit, joint: int) -> float:
-    """Return the identified armature of a joint, kg·m², zero if the links absorbed it."""
-    if not isinstance(arm, Fit):
-        return 0.0
-    return sum(
-        float(value)
-        for column, value in zip(arm.model.columns, arm.effect_coefficients, strict=True)
-        if column.joint == joint and column.name == "armature.I_a"
-    )
-
-
-def _rigid(compiled: Compiled, segment: Processed, links: Array | None) -> Array:
-    if links is None:
-        return np.zeros_like(segment.q)
-    return compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, links)
+        columns = zip(arm.model.columns, arm.effect_coefficients, strict=True)
+        own = [x for c, x in columns if (c.joint, c.name) == (joint, "armature.I_a")]
+        armature = float(sum(own))
+    compiled, parts = compile(Model(robot)), []
+    for s in segments:
+        assert s.tau is not None  # checked where recordings come in
+        rigid = np.zeros(len(s))
+        if isinstance(arm, Fit) or robot.has_inertia:
+            rigid = compiled.inverse_dynamics(s.q, s.dq, s.ddq, arm.link_parameters)[:, joint]
+        measured = s.tau[:, joint] - armature * s.ddq[:, joint]
+        parts.append(s.filter(np.column_stack([rigid, measured])))
+    return np.concatenate(parts)
 
 
 def _load_warnings(
@@ -410,21 +252,226 @@ def _load_warnings(
     ]
 
 
-def _in_joint(series: Array, joint: int, n: int) -> Array:
-    whole = np.zeros((len(series), n))
-    whole[:, joint] = series
-    return whole
-
-
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _torque(segment: Processed) -> Array:
-    assert segment.tau is not None  # checked where recordings come in
-    return segment.tau
+@dataclass(frozen=True, eq=False)
+class _Pass:
+    """Filtered samples of one segment in which a joint moves in one direction."""
+
+    segment: int
+    samples: Indices  # (S,) of all segments' filtered samples, in order of increasing position
+    position: Array  # (S,) of the joint, increasing, rad
+    speed: Array  # (S,) absolute velocity of the joint, rad/s
+    forward: bool
+    time: float  # mean time of the pass, s
+
+    def over(self, other: _Pass) -> NDArray[np.bool_]:
+        """Mark the samples (S,) at positions that another pass covers."""
+        return np.asarray(
+            (self.position >= other.position[0]) & (self.position <= other.position[-1])
+        )
 
 
-def _unique(found: Sequence[LieidWarning]) -> tuple[LieidWarning, ...]:
-    """Remove repeated warnings, and those of joints that stand still as they should."""
-    return unique_warnings([w for w in found if not isinstance(w, JointStillWarning)])
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """P pairs of instants at which a joint passes the same position forward and backward."""
+
+    friction: Array  # (P,) half of forward − backward of measured − rigid torque, N·m
+    rigid: Array  # (P,) mean rigid torque of both directions, N·m
+    measured: Array  # (P,) mean measured torque of both directions, N·m
+    speed: Array  # (P,) mean of the two speeds, rad/s
+    stretch: Indices  # (P,) number of the pair of passes
+    samples: Indices  # (P, 2) filtered samples nearest to the two instants
+
+    def at(self, kept: Indices | NDArray[np.bool_]) -> _Pairs:
+        """Return some of the pairs."""
+        return _Pairs(**{name: value[kept] for name, value in vars(self).items()})
+
+
+def _passes(segments: Sequence[Processed], joint: int) -> list[_Pass]:
+    found, first = [], 0
+    for number, segment in enumerate(segments):
+        direction = segment.filter(np.sign(segment.dq[:, joint]))
+        steady = (np.abs(direction) > ONE_DIRECTION) & segment.filtered_moving[:, joint]
+        side = np.where(steady, np.sign(direction), 0.0)
+        q, dq = (x[segment.kept][:, joint] for x in (segment.q, segment.dq))
+        for run in np.split(np.arange(len(side)), np.flatnonzero(np.diff(side)) + 1):
+            if len(run) < LEAST_SAMPLES or side[run[0]] == 0.0:
+                continue
+            forward, time = bool(side[run[0]] > 0.0), float(np.mean(segment.filtered_time[run]))
+            order = run if forward else run[::-1]
+            # noise can reverse the order of positions slightly at low speed
+            position = np.maximum.accumulate(q[order])
+            found.append(
+                _Pass(number, first + order, position, np.abs(dq[order]), forward, time)
+            )  # fmt: skip
+        first += len(side)
+    return found
+
+
+def _matched(segments: Sequence[Processed], torques: Array, joint: int, name: str) -> _Pairs:
+    """Match the forward and backward motion of a joint by position; ``name`` is for messages.
+
+    Each pass is matched with the pass in the opposite direction that covers the same positions
+    at the most similar speed, and among equals with the nearest in time.
+    """
+    passes = _passes(segments, joint)
+    _check_directions(passes, segments, joint, name)
+    chosen: dict[tuple[int, int], tuple[_Pass, _Pass]] = {}
+    for p in passes:
+        others = [o for o in passes if o.forward != p.forward and p.over(o).sum() >= LEAST_SAMPLES]
+        if others:
+            other = min(others, key=lambda o: _difference(p, o))
+            f, b = (p, other) if p.forward else (other, p)
+            chosen[id(f), id(b)] = f, b
+    if not chosen:
+        raise RecordingError(
+            f"{name}: joint {joint + 1} passes no position in both directions "
+            f"(forward {_extent(passes, forward=True)}, backward "
+            f"{_extent(passes, forward=False)} rad); record it forward and backward "
+            "over the same range"
+        )
+    q = np.concatenate([s.q[s.kept] for s in segments])
+    made = [_pairs(f, b, k, torques, q) for k, (f, b) in enumerate(chosen.values())]
+    pairs = _Pairs(
+        **{key: np.concatenate([vars(p)[key] for p, _, _ in made]) for key in vars(made[0][0])}
+    )
+    similar, still = (np.concatenate([part[k] for part in made]) for k in (1, 2))
+    if not similar.any():
+        raise RecordingError(
+            f"{name}: joint {joint + 1} passes the same positions only at different "
+            "speeds; record both directions at the same speeds"
+        )
+    if not (similar & still).any():
+        raise RecordingError(
+            f"{name}: when joint {joint + 1} returns to a position, the other joints have moved; "
+            "record it while they stand still, or fit friction with identify"
+        )
+    return pairs.at(similar & still)
+
+
+def _check_directions(
+    passes: Sequence[_Pass], segments: Sequence[Processed], joint: int, name: str
+) -> None:
+    if not passes:
+        fastest = max(float(np.abs(s.dq[:, joint]).max()) for s in segments)
+        raise RecordingError(
+            f"{name}: joint {joint + 1} never moves in one direction for long enough (fastest "
+            f"{fastest:.2g} rad/s); record it moving forward and backward"
+        )
+    if all(p.forward for p in passes) or not any(p.forward for p in passes):
+        found, missing = ("forward", "backward") if passes[0].forward else ("backward", "forward")
+        raise RecordingError(
+            f"{name}: joint {joint + 1} moves {found} only; friction is half the difference of "
+            f"both directions, so record it {missing} over the same positions as well"
+        )
+
+
+def _extent(passes: Sequence[_Pass], *, forward: bool) -> str:
+    own = [p.position for p in passes if p.forward == forward]
+    return f"{min(x[0] for x in own):.3g} to {max(x[-1] for x in own):.3g}"
+
+
+def _difference(a: _Pass, b: _Pass) -> tuple[float, bool, float]:
+    """Return a sort key of two passes: speed ratio in steps, another segment, time between."""
+    inside = a.over(b)
+    speed = np.interp(a.position[inside], b.position, b.speed)
+    ratio = float(np.median(np.abs(np.log(a.speed[inside] / speed))))
+    return round(ratio / SPEED_STEP), a.segment != b.segment, abs(a.time - b.time)
+
+
+def _pairs(
+    f: _Pass, b: _Pass, stretch: int, torques: Array, q: Array
+) -> tuple[_Pairs, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return a pair for each forward sample, and where speeds are similar and others still."""
+    inside = f.over(b)
+    at = f.samples[inside]
+    place = np.interp(f.position[inside], b.position, np.arange(len(b.position)))
+    before = np.minimum(place.astype(np.intp), len(b.position) - 2)
+    share = (place - before)[:, None]
+    first, second = b.samples[before], b.samples[before + 1]
+
+    def back(values: Array) -> Array:
+        return np.asarray((1.0 - share) * values[first] + share * values[second])
+
+    there, speeds = (
+        back(torques),
+        (f.speed[inside], np.interp(f.position[inside], b.position, b.speed)),
+    )
+    half, mean = 0.5 * (torques[at] - there), 0.5 * (torques[at] + there)
+    apart = np.abs(q[at] - back(q)).max(axis=1)
+    pairs = _Pairs(
+        friction=half[:, 1] - half[:, 0],
+        rigid=mean[:, 0],
+        measured=mean[:, 1],
+        speed=0.5 * (speeds[0] + speeds[1]),
+        stretch=np.full(len(at), stretch),
+        samples=np.column_stack([at, np.where(share[:, 0] < 0.5, first, second)]),
+    )
+    similar = np.abs(np.log(speeds[0] / speeds[1])) <= np.log(SPEED_RATIO)
+    return pairs, similar, apart <= OTHERS_APART
+
+
+def _grouped(pairs: _Pairs, load: Array) -> tuple[_Pairs, Array, Indices]:
+    """Group pairs by speed (logarithmically) and, if it varies, by the magnitude of the load.
+
+    Returns the pairs of groups that are large enough, their loads (P,) and their groups (P,).
+    """
+    logarithm = np.log(pairs.speed)
+    width = max(FINEST, float(np.ptp(logarithm)) / MOST_SPEEDS)
+    cell = ((logarithm - logarithm.min()) / width).astype(np.intp) * LOADS
+    low, high = load.min(), load.max()
+    if high - low > LOAD_RANGE * high:
+        cell += np.minimum((load - low) / (high - low) * LOADS, LOADS - 1).astype(np.intp)
+    _, member, size = np.unique(cell, return_inverse=True, return_counts=True)
+    kept = size[member] >= min(LEAST_PAIRS, size.max())
+    _, member = np.unique(member[kept], return_inverse=True)
+    return pairs.at(kept), load[kept], member.astype(np.intp)
+
+
+def _standard_errors(pairs: _Pairs, member: Indices, trends: Array) -> Array:
+    """Return the standard error (G,) of the average friction of each group.
+
+    Neighbouring pairs are correlated, batches of them are not. The variance is estimated from the
+    means of batches, without the linear influence of ``trends`` (P, k) within the groups, and
+    shrunk towards the variance common to all groups, which dominates in groups with few batches.
+    """
+    size = np.bincount(member)
+    values = np.column_stack([pairs.friction, trends])
+    means = np.array([np.bincount(member, column) / size for column in values.T]).T
+    scatter = values - means[member]
+    slope = np.linalg.lstsq(scatter[:, 1:], scatter[:, 0], rcond=None)[0]
+    residual = scatter[:, 0] - scatter[:, 1:] @ slope
+    batch, owner = _batches(member, pairs.stretch)
+    length = np.bincount(batch)
+    # var(batch mean) = variance/length, so that batches are weighted by their length
+    squares = np.bincount(owner, np.bincount(batch, residual) ** 2 / length)
+    freedom = np.maximum(np.bincount(owner) - 1.0, 0.0)
+    # a sample that occurs c times in a group contributes c² to its variance: Σ c² / Σ c
+    keys, uses = np.unique(
+        member[:, None] * (int(pairs.samples.max()) + 1) + pairs.samples, return_counts=True
+    )
+    group = keys // (int(pairs.samples.max()) + 1)
+    independent = size * np.bincount(group, uses) / np.bincount(group, uses**2)
+    if freedom.sum() == 0.0:
+        return np.asarray(np.sqrt(np.mean(residual**2) / np.maximum(independent / BATCH, 1.0)))
+    common = squares[freedom > 0].sum() / freedom.sum()
+    variance = (PRIOR_WEIGHT * common + squares) / (PRIOR_WEIGHT + freedom)
+    return np.asarray(np.sqrt(variance / independent))
+
+
+def _batches(member: Indices, stretch: Indices) -> tuple[Indices, Indices]:
+    """Return the batch of each pair, and the group of each batch.
+
+    A batch has consecutive pairs of one group and one stretch.
+    """
+    change = (np.diff(member) != 0) | (np.diff(stretch) != 0)
+    run = np.concatenate([[0], np.cumsum(change)])
+    first = np.concatenate([[0], np.flatnonzero(change) + 1])
+    within = (np.arange(len(member)) - first[run]) // BATCH
+    _, index, batch = np.unique(
+        np.column_stack([run, within]), axis=0, return_index=True, return_inverse=True
+    )
+    return np.ravel(batch).astype(np.intp), member[index]

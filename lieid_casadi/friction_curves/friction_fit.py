@@ -1,19 +1,21 @@
-"""Friction models fitted to a friction curve, with bounds and several starting points; ranked."""
+"""A friction model fitted to a friction curve by weighted least squares."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import qmc
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.effects import Effect, Placement, make
-from lieid_casadi.effects.friction_models import FRICTION_MODELS, FrictionModel, friction_model
+from lieid_casadi.compiled.triangular_factors import Triangle
+from lieid_casadi.effects import Effect, Placement
+from lieid_casadi.effects.friction_models import FRICTION_MODELS
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     BoundWarning,
@@ -26,6 +28,7 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.friction_curves.curve import FrictionCurve, LoadSource, friction_curve
 from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.regression.least_squares import Factor, solve
 from lieid_casadi.identification.regression.variable_projection import (
     SeparableProblem,
     ShapeRange,
@@ -42,8 +45,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
+DEFAULT = "coulomb,viscous,stribeck"  # with load_friction where the load varies
 LONG_WAY = 1e3  # rad, after which effects with memory are in steady state
+OTHER_SIGNALS = {"q", "ddq", "temperature", "time"}  # that a curve does not have
+STARTS, DESCENTS = 40, 4  # values of the shapes that are tried, and local searches from the best
+EVALUATIONS = 50  # of the residual in one local search
+ZERO_COLUMN = 1e-9  # norm relative to the largest column below which a column counts as zero
+INVOLVED = 1e-3  # scaled component of a direction without information that is part of it
+NAMED = 0.05  # of a direction's largest component, above which a parameter is named
+FAR = 0.5  # of the largest measured friction, by which an extrapolation may leave its range
+SLOWEST = 0.05  # of the slowest measured speed, down to which the extrapolation is checked
+POINTS = 80  # speeds
 
 
 def steady_columns(
@@ -53,34 +65,30 @@ def steady_columns(
     shapes: Array,
     *,
     load: ArrayLike = 0.0,
-    temperature: ArrayLike = 0.0,
     position: ArrayLike = 0.0,
     time: float = 0.0,
 ) -> Array:
-    """Return half the difference of the effects' columns at +speed and −speed.
+    """Return half the difference (P, m) of the effects' columns at +speed and −speed.
 
-    ``compiled``: functions of a model with n joints and m effect columns; ``joint``: moving joint,
-    from 0; the others are at rest; ``speed`` (P,): positive speeds, rad/s; ``shapes`` (s,): shape
-    parameters of the model's effects; ``load`` (P,): load torque of the joint, N·m; ``temperature``
-    (P,): °C relative to the mean of the training recordings; ``position`` (P,): joint position,
-    rad; ``time``: time since the start of the recording, s.
+    ``joint``: moving joint, from 0; the others are at rest; ``speed`` (P,): positive speeds, rad/s;
+    ``load`` (P,): load torque of the joint, N·m; ``position`` (P,): joint position, rad; ``time``:
+    time since the start of the recording, s.
     """
     speeds = np.atleast_1d(np.asarray(speed, dtype=float))
     velocities = np.concatenate([speeds, -speeds])
     # two samples of each velocity, the first one far away: effects with memory reach steady state
     rows, n = 2 * len(velocities), compiled.n
-    q, dq, forces, temperatures = (np.zeros((rows, n)) for _ in range(4))
+    q, dq, forces = (np.zeros((rows, n)) for _ in range(3))
     dq[:, joint] = np.repeat(velocities, 2)
     q[:, joint] = np.repeat(np.tile(np.broadcast_to(position, speeds.shape), 2), 2)
     q[::2, joint] -= np.sign(velocities) * LONG_WAY
     forces[:, joint] = np.repeat(np.tile(np.broadcast_to(load, speeds.shape), 2), 2)
-    temperatures[:, joint] = np.repeat(np.tile(np.broadcast_to(temperature, speeds.shape), 2), 2)
     columns = compiled.effect_columns(
         q,
         dq,
         0.0 * q,
         load=forces,
-        temperature=temperatures,
+        temperature=np.zeros((rows, n)),
         time=np.full(rows, time),
         shapes=shapes,
         joint_effects_only=True,
@@ -139,15 +147,6 @@ class FrictionFit:
         return float(np.corrcoef(self.curve.friction, self.predicted)[0, 1])
 
     @property
-    def bic(self) -> float:
-        """Bayesian information criterion up to a constant of the curve; smaller is better."""
-        count = len(self.curve)
-        weighted = (self.curve.friction - self.predicted) / self.curve.std
-        square = float(np.mean(weighted**2))
-        free = len(self.coefficients) + len(self.shapes)
-        return float(count * np.log(max(square, 1e-300)) + free * np.log(count))
-
-    @property
     def std(self) -> Array:
         """Standard deviations of coefficients and shapes (m + s,)."""
         return np.sqrt(np.diag(self.covariance))
@@ -157,15 +156,8 @@ class FrictionFit:
         """Coefficients, then shapes."""
         return (*self.model.columns, *self.model.shapes)
 
-    def friction(
-        self,
-        speed: ArrayLike,
-        *,
-        load: ArrayLike = 0.0,
-        temperature: ArrayLike = 0.0,
-        position: ArrayLike = 0.0,
-    ) -> Array:
-        """Return the friction torque at constant speeds.
+    def friction(self, speed: ArrayLike, *, load: ArrayLike = 0.0) -> Array:
+        """Return the friction torque (P,) at constant speeds, N·m.
 
         Parameters
         ----------
@@ -173,25 +165,9 @@ class FrictionFit:
             Positive speeds, rad/s.
         load : (P,) or float
             Load torque, N·m.
-        temperature : (P,) or float
-            °C relative to the mean of the recordings.
-        position : (P,) or float
-            Joint position, rad.
-
-        Returns
-        -------
-        (P,)
-            N·m.
         """
-        columns = steady_columns(
-            self.compiled,
-            self.curve.joint,
-            speed,
-            self.shapes,
-            load=load,
-            temperature=temperature,
-            position=position,
-        )
+        joint = self.curve.joint
+        columns = steady_columns(self.compiled, joint, speed, self.shapes, load=load)
         return np.asarray(columns @ self.coefficients)
 
     def parameter_table(self) -> list[dict[str, Any]]:
@@ -216,7 +192,6 @@ class FrictionFit:
             "parameters": self.parameter_table(),
             "rms": self.rms,
             "correlation": number_or_none(self.correlation),
-            "bic": self.bic,
             "predicted": self.predicted.tolist(),
             "warnings": warning_list(self.warnings),
         }
@@ -254,28 +229,118 @@ def parameter_table(fit: FrictionFit) -> Table:
     )
 
 
-PART = 0.05  # of a direction's largest component, above which a parameter is named
-FAR = 0.5  # of the largest measured friction, by which an extrapolation may leave its range
-SLOWEST = 0.05  # of the slowest measured speed, down to which the extrapolation is checked
-POINTS = 80  # speeds
+def fit_friction(
+    curve: FrictionCurve, effects: str | Iterable[str | Effect] | None = None
+) -> FrictionFit:
+    """Fit a friction model to a friction curve, weighted by the standard errors of its points.
+
+    Shape parameters are searched within their bounds by trust-region least squares from the best of
+    many starting points; the linear coefficients follow for each of them by bounded linear least
+    squares (variable projection).
+
+    ``effects``: name of a friction model (`FRICTION_MODELS`), or effects of speed and load such as
+    ``"coulomb,viscous,load_friction"``, without joint or with that of the curve; by default
+    Coulomb, viscous and Stribeck friction, and load friction where the load varies.
+    Raises `EffectError`: an effect is unknown, acts on or from another joint, or depends on more
+    than speed and load.
+    """
+    model = Model.of_placements(curve.robot, _placements(curve, effects))
+    compiled, ranges = compile(model), ShapeRange.of(model.shapes)
+    weight = 1.0 / np.maximum(curve.std, 1e-3 * np.median(curve.std) + 1e-12)
+
+    def columns(shapes: Array) -> Array:
+        return steady_columns(compiled, curve.joint, curve.speed, shapes, load=curve.load)
+
+    lower, upper = (
+        np.array([getattr(c, end) for c in model.columns]) for end in ("lower", "upper")
+    )
+    problem = SeparableProblem(
+        columns=lambda shapes: weight[:, None] * columns(shapes),
+        target=weight * curve.friction,
+        ranges=ranges,
+        bounds=(lower, upper),
+        negligible=ZERO_COLUMN,
+    )
+    shapes = _best_shapes(problem, model.initial_shapes)
+    coefficients = problem.solve(shapes).coefficients
+    predicted = columns(shapes) @ coefficients
+    slopes = forward_differences(columns, ranges, shapes, coefficients)
+    residual = weight * (curve.friction - predicted)
+    matrix = weight[:, None] * np.column_stack([columns(shapes), slopes])
+    covariance, hidden = _covariance(matrix, residual)
+    fit = FrictionFit(curve, model, coefficients, shapes, covariance, predicted, ())
+    found = (*_bounds(fit), *_not_identifiable(fit, hidden), *_implausible(fit))
+    return replace(fit, warnings=found)
 
 
-def friction_fit_warnings(fit: FrictionFit, hidden: Sequence[Array]) -> tuple[LieidWarning, ...]:
-    """Return warnings of parameters at bounds or not identifiable, and of implausible friction."""
-    return (*_bounds(fit), *_not_identifiable(fit, hidden), *_uncertain(fit), *_implausible(fit))
+def _placements(
+    curve: FrictionCurve, effects: str | Iterable[str | Effect] | None
+) -> tuple[Placement, ...]:
+    if effects is None:
+        effects = f"{DEFAULT},load_friction" if curve.load_varies else DEFAULT
+    if isinstance(effects, str):
+        known = FRICTION_MODELS.get(effects.strip())
+        named = known.effects if known is not None else effects.split(",")
+        effects = [name for name in named if name.strip()]
+    n, joint = curve.robot.n, curve.joint
+    placed: list[Placement] = []
+    for spec in effects:
+        own_joints = isinstance(spec, str) and ":" in spec
+        placed += place(spec, n) if own_joints else place(spec, n, [joint])
+    if not placed:
+        raise EffectError("no effects given; expected e.g. coulomb,viscous")
+    for p in placed:
+        if p.joint != joint or p.source is not None:
+            raise EffectError(f"effect {p.label} does not act on joint {joint + 1} of the curve")
+        if hasattr(p.effect, "along") or OTHER_SIGNALS & set(p.effect.signals):
+            raise EffectError(
+                f"{p.effect.label} is not friction of speed and load; use identify instead"
+            )
+    return tuple(placed)
+
+
+def _best_shapes(problem: SeparableProblem, initial: Array) -> Array:
+    """Return the shapes (s,) of the best of several local searches."""
+    if not len(initial):
+        return initial
+    places = qmc.Halton(len(initial), scramble=False).random(STARTS + 1)[1:]
+    starts = sorted([initial, *problem.ranges.shapes(places)], key=problem.cost)[:DESCENTS]
+    found = [minimize_shapes(problem, x, max_evaluations=EVALUATIONS) for x in starts]
+    return min(found, key=problem.cost)
+
+
+def _covariance(matrix: Array, residual: Array) -> tuple[Array, tuple[Array, ...]]:
+    """Return the covariance (m + s, m + s) and the directions that are not determined.
+
+    Parameters of these directions have infinite variance.
+    """
+    scale = np.linalg.norm(matrix, axis=0)
+    zero = scale <= ZERO_COLUMN * scale.max(initial=0.0)
+    scale[zero] = 1.0
+    triangle = Triangle(matrix.shape[1] + 1)
+    triangle.add(np.where(zero, 0.0, matrix / scale), residual)
+    solution = solve(Factor(triangle.r, len(matrix)))
+    freedom = max(len(matrix) - matrix.shape[1] + len(solution.unexcited), 1)
+    dispersion = max(1.0, float(residual @ residual) / freedom)
+    covariance = dispersion * solution.unit_covariance / np.outer(scale, scale)
+    for direction in solution.unexcited:
+        unknown = np.abs(direction) > INVOLVED * np.abs(direction).max()
+        covariance[unknown] = covariance[:, unknown] = 0.0
+        covariance[unknown, unknown] = np.inf
+    return covariance, tuple(direction / scale for direction in solution.unexcited)
 
 
 def _bounds(fit: FrictionFit) -> list[LieidWarning]:
-    found: list[LieidWarning] = []
+    """Warn of parameters at their bounds."""
     at_bound = ShapeRange.of(fit.model.shapes).at_bound(fit.shapes)
-    for shape, value, at_end in zip(fit.model.shapes, fit.shapes, at_bound, strict=True):
-        if at_end:
-            found.append(
-                BoundWarning(
-                    f"{shape.label} is at its bound {value:.3g} {shape.unit} (range "
-                    f"{shape.lower:g} to {shape.upper:g}); the curve shows little of this effect"
-                )
-            )
+    found: list[LieidWarning] = [
+        BoundWarning(
+            f"{shape.label} is at its bound {value:.3g} {shape.unit} (range "
+            f"{shape.lower:g} to {shape.upper:g}); the curve shows little of this effect"
+        )
+        for shape, value, at_end in zip(fit.model.shapes, fit.shapes, at_bound, strict=True)
+        if at_end
+    ]
     for column, value in zip(fit.model.columns, fit.coefficients, strict=True):
         if np.isclose(value, column.lower) or np.isclose(value, column.upper):
             found.append(BoundWarning(f"{column.label} is at its bound {value:.3g} {column.unit}"))
@@ -283,33 +348,28 @@ def _bounds(fit: FrictionFit) -> list[LieidWarning]:
 
 
 def _not_identifiable(fit: FrictionFit, hidden: Sequence[Array]) -> list[LieidWarning]:
-    """Warn of parameters that half the difference of both directions does not determine."""
+    """Warn of parameters that the curve does not determine, or less than by their value."""
     found: list[LieidWarning] = []
     for direction in hidden:
         part = np.abs(direction) / np.abs(direction).max()
-        names = [p.label for p, x in zip(fit.parameters, part, strict=True) if x > PART]
+        names = [p.label for p, x in zip(fit.parameters, part, strict=True) if x > NAMED]
         what = (
             f"{names[0]} cannot be identified"
             if len(names) == 1
             else f"{', '.join(names)} cannot be separated"
         )
         found.append(UnidentifiableWarning(f"{what} by this curve"))
-    return found
-
-
-def _uncertain(fit: FrictionFit) -> list[LieidWarning]:
-    """Warn of parameters whose standard deviation exceeds their value."""
     values = np.concatenate([fit.coefficients, fit.shapes])
     uncertain = np.isfinite(fit.std) & (fit.std > np.abs(values))
     names = [p.label for p, x in zip(fit.parameters, uncertain, strict=True) if x]
-    if not names:
-        return []
-    return [
-        UnidentifiableWarning(
-            f"{', '.join(names)}: the standard deviation exceeds the value; use a model with "
-            "fewer parameters, or record more speeds and loads"
+    if names:
+        found.append(
+            UnidentifiableWarning(
+                f"{', '.join(names)}: the standard deviation exceeds the value; use a model with "
+                "fewer parameters, or record more speeds and loads"
+            )
         )
-    ]
+    return found
 
 
 def _implausible(fit: FrictionFit) -> list[LieidWarning]:
@@ -341,234 +401,6 @@ def _implausible(fit: FrictionFit) -> list[LieidWarning]:
     return found
 
 
-SAMPLED_STARTS = 40  # random starting points, the best of which are used
-DESCENTS = 4  # local searches
-FINALISTS = 2  # of them that are continued on all instants
-CONVERGED = 1e-4  # relative change of the cost on all instants, far below the effect of noise
-EVALUATIONS = 50  # of the residual in one local search
-ZERO_COLUMN = 1e-9  # norm relative to the largest column below which a column counts as zero
-RANK = 1e-7  # relative singular value below which a direction is not determined by the curve
-INVOLVED = 1e-3  # scaled component of such a direction that makes a parameter unknown
-
-
-def fit_friction(
-    curve: FrictionCurve,
-    effects: str | Iterable[str | Effect],
-    *,
-    starts: int = DESCENTS,
-    seed: int = 0,
-) -> FrictionFit:
-    """Fit a friction model to a friction curve, weighted by the standard errors of its points.
-
-    Shape parameters are searched within their bounds by trust-region least squares from the best
-    of many random starting points; the linear coefficients follow for each of them by bounded
-    linear least squares (variable projection). The columns of the effects are matched and
-    averaged in the same way as the torque.
-
-    ``effects``: name of a friction model (`FRICTION_MODELS`), or effects such as
-    ``"coulomb,viscous,load_friction"``, without joint or with that of the curve; ``starts``: number
-    of local searches, at least 1; ``seed``: seed of the random starting points.
-    Raises `EffectError`: an effect is unknown, acts on or from another joint, or needs a
-    temperature that the recordings do not have. Raises `ValueError`: ``starts`` is below 1.
-    """
-    if starts < 1:
-        raise ValueError(f"starts is {starts}; expected at least 1")
-    problem = _CurveProblem(curve, _placements(curve, effects))
-    shapes = problem.search(starts, np.random.default_rng(seed))
-    coefficients = problem.all_instants.solve(shapes).coefficients
-    predicted = problem.columns(shapes) @ coefficients
-    covariance, hidden = problem.covariance(shapes, coefficients)
-    fit = FrictionFit(
-        curve=curve,
-        model=problem.model,
-        coefficients=coefficients,
-        shapes=shapes,
-        covariance=covariance,
-        predicted=predicted,
-        warnings=(),
-    )
-    return replace(fit, warnings=friction_fit_warnings(fit, hidden))
-
-
-def _placements(
-    curve: FrictionCurve, effects: str | Iterable[str | Effect]
-) -> tuple[Placement, ...]:
-    if isinstance(effects, str):
-        known = FRICTION_MODELS.get(effects.strip())
-        named = known.effects if known is not None else effects.split(",")
-        effects = [name for name in named if name.strip()]
-    n, joint = curve.data.robot.n, curve.joint
-    placed: list[Placement] = []
-    for spec in effects:
-        own_joints = isinstance(spec, str) and ":" in spec
-        placed += place(spec, n) if own_joints else place(spec, n, [joint])
-    if not placed:
-        raise EffectError("no effects given; expected e.g. coulomb,viscous")
-    for p in placed:
-        if hasattr(p.effect, "along"):
-            raise EffectError(
-                f"{p.effect.label} is not friction of one joint; use identify instead"
-            )
-        if p.joint != joint or p.source is not None:
-            raise EffectError(f"effect {p.label} does not act on joint {joint + 1} of the curve")
-        if "temperature" in p.effect.signals and not curve.data.has_temperature:
-            raise EffectError(f"{p.effect.label} needs temperature; expected columns temp1…temp{n}")
-    return tuple(placed)
-
-
-class _CurveProblem:
-    """Weighted least squares of a curve's points in coefficients and shapes."""
-
-    def __init__(self, curve: FrictionCurve, placements: Sequence[Placement]) -> None:
-        self.curve = curve
-        self.model = Model.of_placements(curve.data.robot, placements)
-        self.compiled = compile(self.model)
-        self.ranges = ShapeRange.of(self.model.shapes)
-        self.weight = 1.0 / np.maximum(curve.std, 1e-3 * np.median(curve.std) + 1e-12)
-        self.all_instants = self._separable(thinned=False)
-        self.some_instants = self._separable(thinned=True)
-
-    def _separable(self, *, thinned: bool) -> SeparableProblem:
-        return SeparableProblem(
-            columns=lambda shapes: self.weight[:, None] * self.columns(shapes, thinned=thinned),
-            target=self.weight * self.curve.friction,
-            ranges=self.ranges,
-            bounds=(
-                np.array([c.lower for c in self.model.columns]),
-                np.array([c.upper for c in self.model.columns]),
-            ),
-            negligible=ZERO_COLUMN,
-        )
-
-    def columns(self, shapes: Array, *, thinned: bool = False) -> Array:
-        """Return the columns averaged per point (G, m)."""
-        data, joint = self.curve.data, self.curve.joint
-        return data.columns(self.compiled, joint, shapes, thinned=thinned)
-
-    def search(self, starts: int, random: np.random.Generator) -> Array:
-        """Return the best shapes (s,), searched on a subset of the instants, then on all."""
-        initial = self.model.initial_shapes
-        if not len(initial):
-            return initial
-        cost = self.some_instants.cost
-        drawn = self.ranges.shapes(_latin_hypercube(SAMPLED_STARTS, len(initial), random))
-        best = sorted([initial, *drawn], key=cost)[:starts]
-        found = sorted(
-            (minimize_shapes(self.some_instants, x, max_evaluations=EVALUATIONS) for x in best),
-            key=cost,
-        )
-        final = [
-            minimize_shapes(self.all_instants, x, ftol=CONVERGED, max_evaluations=EVALUATIONS)
-            for x in found[:FINALISTS]
-        ]
-        return min(final, key=self.all_instants.cost)
-
-    def covariance(self, shapes: Array, coefficients: Array) -> tuple[Array, list[Array]]:
-        """Return the covariance (m + s, m + s) and the directions that are not determined.
-
-        Parameters of these directions have infinite variance.
-        """
-        slopes = forward_differences(self.columns, self.ranges, shapes, coefficients)
-        matrix = self.weight[:, None] * np.column_stack([self.columns(shapes), slopes])
-        scale = np.linalg.norm(matrix, axis=0)
-        scale[scale <= ZERO_COLUMN * scale.max(initial=0.0)] = 1.0
-        _, sizes, vt = np.linalg.svd(matrix / scale, full_matrices=True)
-        sizes = np.pad(sizes, (0, len(vt) - len(sizes)))
-        determined = sizes > RANK * sizes[0]
-        inverse = vt[determined].T / sizes[determined] / scale[:, None]
-        freedom = max(len(matrix) - int(determined.sum()), 1)
-        dispersion = max(1.0, self.all_instants.cost(shapes) / freedom)
-        covariance = inverse @ inverse.T * dispersion
-        hidden = [direction / scale for direction in vt[~determined]]
-        for direction in hidden:
-            unknown = np.abs(direction) * scale > INVOLVED
-            covariance[unknown] = covariance[:, unknown] = 0.0
-            covariance[unknown, unknown] = np.inf
-        return covariance, hidden
-
-
-def _latin_hypercube(count: int, dimensions: int, random: np.random.Generator) -> Array:
-    """Return points (count, dimensions) between 0 and 1."""
-    ranks = np.array([random.permutation(count) for _ in range(dimensions)]).T
-    return (ranks + random.uniform(size=ranks.shape)) / count
-
-
-Progress = Callable[[str, float], None]
-# a curve contains neither the offset nor the difference between motoring and generating
-STATED = (
-    "load_constant", "load_absolute", "load_square", "stribeck", "tustin", "simplified", "eq7",
-    "paper", "gao2017", "gao2017_constant_temperature", "he2021", "madsen2020", "panda_sigmoid",
-)  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class RankedFrictionModel:
-    """A friction model of the literature and its fit to a curve."""
-
-    model: FrictionModel
-    fit: FrictionFit
-
-
-def rank_friction_models(
-    curve: FrictionCurve,
-    names: Sequence[str] = STATED,
-    *,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> tuple[RankedFrictionModel, ...]:
-    """Fit friction models to a curve and rank them by the Bayesian information criterion (BIC).
-
-    Models that need a temperature are left out if the recordings have none. Differences of the
-    BIC below about 6 are not strong evidence (Kass, Raftery, JASA 1995).
-
-    ``names``: names of models in `FRICTION_MODELS`; ``seed``: seed of the random starting points;
-    ``progress``: called with the name of a model and the completed fraction (0 to 1).
-    Raises `EffectError`: a model with this name does not exist.
-    """
-    models = [friction_model(name) for name in names]
-    fitting = [m for m in models if curve.data.has_temperature or not _needs_temperature(m)]
-    found = []
-    for k, model in enumerate(fitting):
-        if progress is not None:
-            progress(model.name, k / len(fitting))
-        found.append(RankedFrictionModel(model, fit_friction(curve, model.effects, seed=seed)))
-    return tuple(sorted(found, key=lambda ranked: ranked.fit.bic))
-
-
-def _needs_temperature(model: FrictionModel) -> bool:
-    return any("temperature" in make(effect).signals for effect in model.effects)
-
-
-def ranking_table(ranked: Sequence[RankedFrictionModel]) -> Table:
-    """Return friction models in the order of the Bayesian information criterion (BIC).
-
-    Models are named by their form; an asterisk marks those with a note.
-    """
-    best, unit = ranked[0].fit.bic, ranked[0].fit.curve.unit
-    return make_table(
-        "Friction models, by the Bayesian information criterion (BIC)",
-        (
-            "model",
-            f"RMS, {unit}",
-            "correlation",
-            "BIC above the best",
-            "parameters",
-            "source (name)",
-        ),
-        [
-            (
-                ranked_model.model.form + ("*" if ranked_model.model.note else ""),
-                ranked_model.fit.rms,
-                f"{ranked_model.fit.correlation:.4f}",
-                f"{ranked_model.fit.bic - best:.1f}",
-                len(ranked_model.fit.parameters),
-                f"{ranked_model.model.credit} ({ranked_model.model.name})",
-            )
-            for ranked_model in ranked
-        ],
-    )
-
-
 def friction(
     arm: Robot | Fit,
     recordings: Recording | Sequence[Recording],
@@ -577,12 +409,8 @@ def friction(
     effects: str | Iterable[str | Effect] | None = None,
     processing: Processing | None = None,
     load: LoadSource | None = None,
-    seed: int = 0,
 ) -> FrictionFit:
     """Fit a friction model to the motion of one joint in both directions (Eq. 15).
-
-    The steps are `lieid_casadi.friction_curves.friction_curve`, and `fit_friction` or
-    `rank_friction_models` of that package.
 
     Parameters
     ----------
@@ -593,14 +421,13 @@ def friction(
     joint : int
         From 0.
     effects : str or sequence of str or Effect, optional
-        Name of a friction model, or effects such as ``"coulomb,viscous,load_friction"``. Without
-        it, the models of the literature are fitted and that with the smallest BIC is returned.
+        Name of a friction model, or effects such as ``"coulomb,viscous,load_friction"``. Default:
+        Coulomb, viscous and Stribeck friction, and load friction where the load varies.
     processing : Processing, optional
         Filter options; by default the cut-off is chosen from the spectrum.
     load : {"model", "measured"}, optional
-        Source of the load that friction may depend on, see `friction_curve`.
-    seed : int
-        Seed of the random starting points.
+        Source of the load that friction may depend on: the rigid torque (default of a fit), or the
+        mean torque of both directions (default of a robot, whose inertias are nominal).
 
     Returns
     -------
@@ -615,6 +442,4 @@ def friction(
         An effect is unknown or acts on another joint.
     """
     curve = friction_curve(arm, recordings, joint, processing=processing, load=load)
-    if effects is None:
-        return rank_friction_models(curve, seed=seed)[0].fit
-    return fit_friction(curve, effects, seed=seed)
+    return fit_friction(curve, effects)

@@ -25,21 +25,13 @@ def lieid_friction(*words):
     return main(["friction", "two_link", *map(str, words)])
 
 
-def test_models_are_ranked_and_the_best_is_printed(run, tmp_path, capsys):
+def test_the_default_model_is_printed_written_and_drawn(run, tmp_path, capsys):
     out, picture = tmp_path / "f.json", tmp_path / "f.png"
     assert lieid_friction(run, "--joint", 1, "--json", out, "--plot", picture) == 0
-    shown = capsys.readouterr().out
-    assert "Friction models, by the Bayesian information criterion" in shown
-    assert "(he2021): published as a Stribeck curve" in shown
-    rows = [line for line in shown.splitlines() if "reconstructed" in line]
-    assert rows
-    assert not any(line.strip().startswith(("gao", "he2021")) for line in shown.splitlines())
+    assert "coulomb, viscous, stribeck, load_friction: RMS" in capsys.readouterr().out
     content = json.loads(out.read_text())
     assert content["joint"] == 1
-    scores = [model["bic"] for model in content["models"]]
-    assert scores == sorted(scores)
-    assert content["models"][0]["source"]
-    assert content["fit"]["effects"] == content["models"][0]["effects"]
+    assert content["fit"]["effects"] == ["coulomb", "viscous", "stribeck", "load_friction"]
     assert {"name", "joint", "value", "std", "unit"} == set(content["fit"]["parameters"][0])
     assert len(content["curve"]["points"]) == len(content["fit"]["predicted"])
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -54,7 +46,6 @@ def test_given_effects_and_a_fit_of_the_arm(run, tmp_path):
     words += ["--fit", tmp_path / "fit.json", "--json", out, "--cutoff", 10]
     assert lieid_friction(*words) == 0
     content = json.loads(out.read_text())
-    assert content["models"] == []
     assert content["curve"]["load_source"] == "model"
 
 
@@ -70,7 +61,7 @@ def test_a_model_by_its_name(run, tmp_path):
         (["--joint", "3"], "--joint 3: two_link has joints 1 to 2"),
         (["--joint", "2"], "joint 2 never moves"),
         (["--joint", "1", "--effects", "coulom"], "unknown effect 'coulom'"),
-        (["--joint", "1", "--effects", "gao2017"], "needs temperature"),
+        (["--joint", "1", "--effects", "gao2017"], "is not friction of speed and load"),
         (["--joint", "one"], "invalid int value"),
         ([], "--joint"),
     ],

@@ -66,17 +66,3 @@ def test_wrong_nominal_inertias_are_reported(robot, alone, whole):
     fitted = friction_curve(whole, alone, 1, processing=CUTOFF)
     assert fitted.load_error < 1.0
     assert not any(isinstance(w, LoadMismatchWarning) for w in fitted.warnings)
-
-
-@pytest.mark.slow
-def test_stages_are_as_good_as_one_fit(robot, alone, excitation, whole):
-    model = lieid.Model(robot, "armature,coulomb,viscous,offset,load_friction:3")
-    stages = lieid.identify_in_stages(
-        model, excitation, {1: alone}, EFFECTS, processing=CUTOFF, friction_processing=CUTOFF
-    )
-    test = lieid.Recording.load(UR10E / "excitation_14_harmonics.csv.gz")
-    one, two, simple = (
-        lieid.compare(f, test).rms[1] for f in (whole, stages.fit, stages.first_stage)
-    )
-    assert two < 0.65 * simple
-    assert two < 1.1 * one

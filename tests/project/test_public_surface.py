@@ -11,10 +11,10 @@ PUBLIC = {
     "Export", "ExpressionLimit", "Fit", "Fourier", "FrictionFit", "Joint", "LieidError",
     "LieidWarning", "Limits", "Model", "ModifiedFourier", "Obstacle", "PayloadEstimate",
     "PlannedMotion", "PremiseCheck", "Processing", "Recording", "Robot", "SelfCollision", "Shape",
-    "Signals", "Simulation", "StagedFit", "SymbolicDynamics", "Symbols", "Torque", "Wall",
+    "Signals", "Simulation", "SymbolicDynamics", "Symbols", "Torque", "Wall",
     "__version__", "check", "compare", "compile", "default_limits", "diagnose",
     "discriminate", "drive_gains", "effect", "excite", "experiment", "export", "extend", "floor",
-    "friction", "identify", "identify_in_stages", "identify_payload", "jerk_limit", "predict",
+    "friction", "identify", "identify_payload", "jerk_limit", "predict",
     "register", "robots", "servo_drive", "simulate", "symbolic", "workspace_box",
 }  # fmt: skip
 

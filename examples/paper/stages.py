@@ -10,28 +10,21 @@ friction of the second stage subtracted.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+from arm import Array
 from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
-from lieid_casadi.effects import Effect, Placement
-from lieid_casadi.errors import LieidWarning, ModelError, unique_warnings
-from lieid_casadi.friction_curves.curve import LoadSource, friction_curve
-from lieid_casadi.friction_curves.friction_fit import FrictionFit, fit_friction, steady_columns
-from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.identify import Method, identify
-from lieid_casadi.identification.prediction import center_temperature, training_rms
-from lieid_casadi.identification.recording_checks import Source
+from lieid_casadi.effects import Placement
+from lieid_casadi.friction_curves import FrictionFit
+from lieid_casadi.friction_curves.friction_fit import steady_columns
+from lieid_casadi.identification import Fit, identify
+from lieid_casadi.identification.prediction import training_rms
 from lieid_casadi.model import Model, Parameter
-from lieid_casadi.recording import Processing, Recording, process
-from lieid_casadi.recording.recording import listed
+from lieid_casadi.recording import Recording, process
 
 SPEEDS = np.array([0.03, 0.3, 1.0])  # rad/s at which the columns of friction are not all zero
 HIGH_SPEEDS = np.array([1e3, 1e4])  # rad/s, far above those at which dry friction changes
@@ -48,9 +41,6 @@ def combine_stages(
 ) -> Fit:
     """Combine a first stage and the friction of single joints into one model (Eq. 16).
 
-    This is the last step of `identify_in_stages`, for friction curves that were measured in
-    another way, for example with a known payload.
-
     ``first_stage``: its friction is kept on joints that ``friction`` does not contain;
     ``friction``: second stage, by joint from 0; ``excitation``: training recordings of the first
     stage; ``refit``: whether links and friction that grows with speed are identified again from the
@@ -61,21 +51,18 @@ def combine_stages(
         placements += _determined_placements(own)
     stages = [_values_of(first_stage), *map(_values_of_curve, friction.values())]
     model = Model.of_placements(first_stage.model.robot, placements)
-    mean = _temperature_mean(first_stage, friction)
-    fit = _combined(replace(first_stage, temperature_mean=mean), model, stages)
+    fit = _combined(first_stage, model, stages)
     if refit:
         dry = _dry_friction(friction)
         for _ in range(REFITS):
-            refitted = _refitted(fit, dry, excitation, first_stage.method)
-            refitted = replace(refitted, temperature_mean=mean)
+            refitted = _refitted(fit, dry, excitation)
             fit = _combined(refitted, model, [*stages, _values_of(refitted)])
-    recordings = _sources(first_stage, friction)
-    fit = replace(
-        fit,
-        warnings=_warnings(first_stage, friction),
-        provenance=replace(first_stage.provenance, recordings=recordings),
-    )
-    return _with_training_errors(fit, excitation)
+    segments = process(excitation, fit.processing)
+    rms, raw = training_rms(fit.compiled, segments, fit.parameters, fit.shapes)
+    return replace(
+        fit, rms_train=rms, rms_train_raw=raw, warnings=first_stage.warnings,
+        provenance=first_stage.provenance,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +150,7 @@ def _determined_placements(own: FrictionFit) -> list[Placement]:
 
 def _odd_columns(compiled: Compiled, joint: int, shapes: Array) -> NDArray[np.bool_]:
     """Mark the columns (m,) whose torque on a joint changes sign with its velocity."""
-    columns = steady_columns(compiled, joint, SPEEDS, shapes, load=1.0, temperature=1.0)
+    columns = steady_columns(compiled, joint, SPEEDS, shapes, load=1.0)
     return np.asarray(np.any(columns, axis=0))
 
 
@@ -172,9 +159,7 @@ def _dry_friction(friction: Mapping[int, FrictionFit]) -> set[str]:
     dry = set()
     for own in friction.values():
         slow, fast = np.abs(
-            steady_columns(
-                own.compiled, own.curve.joint, HIGH_SPEEDS, own.shapes, load=1.0, temperature=1.0
-            )
+            steady_columns(own.compiled, own.curve.joint, HIGH_SPEEDS, own.shapes, load=1.0)
         )
         for slot in own.model.slots:
             if not np.all(fast[slot.columns] > GROWTH * slow[slot.columns]):
@@ -182,7 +167,7 @@ def _dry_friction(friction: Mapping[int, FrictionFit]) -> set[str]:
     return dry
 
 
-def _refitted(fit: Fit, dry: set[str], excitation: Sequence[Recording], method: str) -> Fit:
+def _refitted(fit: Fit, dry: set[str], excitation: Sequence[Recording]) -> Fit:
     """Identify all but the dry friction again, with the torque of the latter subtracted.
 
     The robust method treats joints that stick at a reversal for an instant as outliers.
@@ -203,132 +188,6 @@ def _refitted(fit: Fit, dry: set[str], excitation: Sequence[Recording], method: 
     return identify(
         Model.of_placements(fit.model.robot, rest),
         remaining,
-        method="feasible" if method == "feasible" else "robust",
+        method="robust",
         processing=fit.processing,
-    )
-
-
-def _with_training_errors(fit: Fit, excitation: Sequence[Recording]) -> Fit:
-    segments, _ = center_temperature(process(excitation, fit.processing), fit.temperature_mean)
-    rms, raw = training_rms(fit.compiled, segments, fit.parameters, fit.shapes)
-    return replace(fit, rms_train=rms, rms_train_raw=raw)
-
-
-def _temperature_mean(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> Array | None:
-    """Return the temperatures that effects refer to: the first stage's mean, if it has one."""
-    means = [own.curve.data.temperature_mean for own in friction.values()]
-    return next((m for m in (first_stage.temperature_mean, *means) if m is not None), None)
-
-
-def _sources(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> tuple[Source, ...]:
-    """Return the recordings of all stages."""
-    found = [*first_stage.provenance.recordings]
-    found += [source for own in friction.values() for source in own.curve.recordings]
-    return tuple(dict.fromkeys(found))
-
-
-def _warnings(first_stage: Fit, friction: Mapping[int, FrictionFit]) -> tuple[LieidWarning, ...]:
-    found = [*first_stage.warnings]
-    for own in friction.values():
-        found += [*own.curve.warnings, *own.warnings]
-    return unique_warnings(found)
-
-
-@dataclass(frozen=True, eq=False)
-class StagedFit:
-    """Result of `identify_in_stages`.
-
-    Attributes
-    ----------
-    first_stage : Fit
-        Links with simple friction, from the excitation.
-    friction : dict of int to FrictionFit
-        Second stage: the friction model of each joint (from 0) that has friction runs.
-    fit : Fit
-        The combined model, see `combine_stages`.
-    """
-
-    first_stage: Fit
-    friction: dict[int, FrictionFit]
-    fit: Fit
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the first stage and the friction of each joint for JSON."""
-        return {
-            "first_stage": self.first_stage.to_dict(),
-            "friction": [own.to_dict() for own in self.friction.values()],
-        }
-
-    def __repr__(self) -> str:
-        joints = ", ".join(str(joint + 1) for joint in self.friction)
-        return f"<StagedFit: {self.fit!r}, friction runs of joints {joints or 'none'}>"
-
-
-def identify_in_stages(
-    model: Model,
-    excitation: Recording | Sequence[Recording],
-    friction_runs: Mapping[int, Recording | Sequence[Recording]],
-    friction_effects: str | Iterable[str | Effect] = "paper",
-    *,
-    refit: bool = True,
-    method: Method = "wls",
-    load: LoadSource | None = None,
-    processing: Processing | None = None,
-    friction_processing: Processing | None = None,
-    seed: int = 0,
-) -> StagedFit:
-    """Identify links from excitation and friction from runs of single joints (Eqs. 11 to 16).
-
-    Parameters
-    ----------
-    model : Model
-        Model of the first stage. That of the paper (Eq. 11) has the effects coulomb, viscous,
-        viscous_polynomial and offset.
-    excitation : Recording or sequence of Recording
-        Motion of all joints, without payload.
-    friction_runs : mapping of int to Recording or sequence of Recording
-        Forward and backward motion of single joints, by joint from 0. Joints without runs keep
-        the friction of the first stage.
-    friction_effects : str or sequence of str or Effect
-        Friction model of the second stage, see `fit_friction`; ``"paper"`` is Eq. 8.
-    refit : bool
-        Whether links and friction that grows with speed are identified again (third stage).
-        Without it the result is that of the paper's two stages.
-    method : str
-        Method of the first stage, see `identify`.
-    load : {"model", "measured"}, optional
-        Source of the load torque of the friction runs, see `friction_curve`; ``"measured"`` for
-        runs with a payload.
-    processing, friction_processing : Processing, optional
-        Filter options of the excitation and of the friction runs.
-    seed : int
-        Seed of the starting points of the second stage.
-
-    Returns
-    -------
-    StagedFit
-
-    Raises
-    ------
-    ModelError
-        No friction runs are given.
-    LieidError
-        As `identify`, `friction_curve` and `fit_friction`.
-    """
-    if not friction_runs:
-        raise ModelError("no friction runs given; expected runs of at least one joint")
-    first_stage = identify(model, excitation, method=method, processing=processing)
-    effects = friction_effects if isinstance(friction_effects, str) else list(friction_effects)
-
-    def fitted(joint: int) -> FrictionFit:
-        curve = friction_curve(
-            first_stage, friction_runs[joint], joint, processing=friction_processing, load=load
-        )
-        return fit_friction(curve, effects, seed=seed)
-
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        friction = dict(zip(friction_runs, pool.map(fitted, friction_runs), strict=True))
-    given = listed(excitation)
-    return StagedFit(
-        first_stage, friction, combine_stages(first_stage, friction, given, refit=refit)
     )
