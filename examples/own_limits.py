@@ -10,17 +10,36 @@ condition number.
 import sys
 
 import casadi as ca
+import numpy as np
 
 import lieid_casadi as lieid
+from lieid_casadi.dynamics.lie import Motion
+from lieid_casadi.dynamics.recursion import inverse_dynamics
+from lieid_casadi.excitation import SymbolicSet
 
 ROBOT = lieid.robots.panda()
 MODEL = lieid.Model(ROBOT, effects=["coulomb:1+2+3", "viscous:1+2+3"])
 FRICTION = [k for k, p in enumerate(MODEL.base_columns) if p.name.startswith(("coulomb", "visc"))]
 
 
-def power(s: lieid.Symbols) -> ca.SX:
-    """Return the mechanical power of all drives, W."""
-    return ca.dot(s.tau, s.dq)
+class Power:
+    """Mechanical power of all drives, by the rigid torque of the stated inertias."""
+
+    name = "power"
+
+    def __init__(self, most: float) -> None:
+        self.most = most  # W
+
+    def on(self, robot: lieid.Robot, fit: object = None) -> SymbolicSet:
+        """Return the set of quantities that `lieid_casadi.excitation.Limit` asks for."""
+        motion = Motion.symbols(robot.n)
+        torque = inverse_dynamics(robot, motion, ca.SX(ca.DM(robot.link_parameters)))
+        return SymbolicSet(
+            "power", motion, ca.dot(torque, motion.dq),
+            title=f"power of at most {self.most:g} W", labels=("power",), units=("W",),
+            lower=np.array([-np.inf]), upper=np.array([self.most]), scale=np.array([self.most]),
+            remedy="a longer duration",
+        )  # fmt: skip
 
 
 def friction_variance(information: ca.SX) -> ca.SX:
@@ -31,9 +50,8 @@ def friction_variance(information: ca.SX) -> ca.SX:
 
 def design(**options: object) -> lieid.Excitation:
     """Return the trajectory."""
-    power_limit = lieid.ExpressionLimit("power", power, upper=25.0, unit="W")
     pillar = lieid.Obstacle((0.4, -0.7, 0.0), (0.6, -0.4, 1.0), "pillar")
-    limits = [*lieid.default_limits(ROBOT), power_limit, pillar]
+    limits = [*lieid.default_limits(ROBOT), Power(25.0), pillar]
     return lieid.excite(MODEL, criterion=friction_variance, limits=limits, **options)
 
 

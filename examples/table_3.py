@@ -38,7 +38,7 @@ import lieid_casadi as lieid
 from lieid_casadi.excitation import CartesianSpeed, Criterion
 from lieid_casadi.excitation.design import ExcitationProblem, make_design
 from lieid_casadi.excitation.search import Search
-from lieid_casadi.excitation.trajectory import make
+from lieid_casadi.excitation.trajectory import Fourier
 
 CRITERIA = {"C1": "combined", "C2": "condition", "C3": "hadamard", "C4": "logdet"}
 FRICTION = "coulomb,viscous,offset,viscous_polynomial"
@@ -98,7 +98,7 @@ def run(criterion, seeds, **thresholds):
     """Return one row (C2, C4, processor seconds, iterations) per start."""
     model = lieid.Model(lieid.robots.panda_luo2024(), effects=FRICTION)
     design = make_design(
-        model, basis=make("fourier", duration=20.0, harmonics=5), criterion=criterion,
+        model, basis=Fourier(), criterion=criterion,
         limits=(CartesianSpeed(V_C),), start_pose=np.zeros(7),
         margin=1.0, **thresholds,
     )  # fmt: skip

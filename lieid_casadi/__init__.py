@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0"
 
 __all__ = [
-    "BSpline",
-    "Basis",
     "CartesianSpeed",
     "Coefficient",
     "Comparison",
@@ -22,16 +20,13 @@ __all__ = [
     "Excitation",
     "Experiment",
     "Export",
-    "ExpressionLimit",
     "Fit",
-    "Fourier",
     "FrictionFit",
     "Joint",
     "LieidError",
     "LieidWarning",
     "Limits",
     "Model",
-    "ModifiedFourier",
     "Obstacle",
     "PayloadEstimate",
     "PlannedMotion",
@@ -44,7 +39,6 @@ __all__ = [
     "Signals",
     "Simulation",
     "SymbolicDynamics",
-    "Symbols",
     "Torque",
     "Wall",
     "__version__",
@@ -64,7 +58,6 @@ __all__ = [
     "friction",
     "identify",
     "identify_payload",
-    "jerk_limit",
     "predict",
     "register",
     "robots",
@@ -85,9 +78,8 @@ _HOME = {
         "effects": "Coefficient Effect Shape Signals effect register",
         "errors": "LieidError LieidWarning",
         "excitation": (
-            "BSpline Basis CartesianSpeed Excitation ExpressionLimit Fourier "
-            "ModifiedFourier Obstacle SelfCollision Symbols Torque Wall default_limits "
-            "excite floor jerk_limit workspace_box"
+            "CartesianSpeed Excitation Obstacle SelfCollision Torque Wall default_limits "
+            "excite floor workspace_box"
         ),
         "experiments": "Experiment PlannedMotion experiment",
         "exporters.export": "Export export",
@@ -119,20 +111,13 @@ if TYPE_CHECKING:
     from lieid_casadi.effects import Coefficient, Effect, Shape, Signals, effect, register
     from lieid_casadi.errors import LieidError, LieidWarning
     from lieid_casadi.excitation import (
-        Basis,
-        BSpline,
         CartesianSpeed,
-        ExpressionLimit,
-        Fourier,
-        ModifiedFourier,
         Obstacle,
         SelfCollision,
-        Symbols,
         Torque,
         Wall,
         default_limits,
         floor,
-        jerk_limit,
         workspace_box,
     )
     from lieid_casadi.excitation.excite import Excitation, excite

@@ -31,8 +31,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --friction-sweep JOINT …: int  write runs of these joints at constant speeds instead
     @JSON @THREADS
     == motion
-    --basis {fourier,modified_fourier,bspline} = fourier  functions that trajectories
-        are composed of
     --duration S: number = 20  duration of one period, s
     --harmonics N: int = 5  harmonics of each joint
     --periods N: int = 1  number of periods
@@ -41,8 +39,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
         within all limits
     == search
-    --warm-start FILE: input  trajectory (CSV with t, q1 … qn) of one period from which
-        the first search starts
     --starts N: int = 4  number of random starts
     --seed N: seed = 0  seed of the random starts
     --max-iterations N: int  largest number of iterations of one start; default: no
@@ -60,16 +56,19 @@ def run(args: argparse.Namespace) -> output.Outcome:
             arm,
             criterion=args.criterion, inertial_only=args.inertial_only,
             limits=limits, start_pose=args.start_pose or None,
-            acceleration=args.acceleration or None, margin=args.margin, basis=args.basis,
+            acceleration=args.acceleration or None, margin=args.margin,
             duration=args.duration, harmonics=args.harmonics, periods=args.periods,
-            samples=args.samples, rate=args.rate, start=args.warm_start,
+            samples=args.samples, rate=args.rate,
             starts=args.starts, seed=args.seed, max_iterations=args.max_iterations,
             progress=report,
         )  # fmt: skip
     starts = make_table(
         "Starts",
         ["start", "condition number", "−log det", "s"],
-        [(_start(s.seed), s.condition_number, s.neg_log_det, s.seconds) for s in excitation.starts],
+        [
+            (f"seed {s.seed}", s.condition_number, s.neg_log_det, s.seconds)
+            for s in excitation.starts
+        ],
     )
     seconds = (
         f"Built in {excitation.build_seconds:.2g} s, solved in {excitation.solve_seconds:.2g} s."
@@ -80,11 +79,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         folder=lambda: excitation.save(folder, force=args.force),
         status=INTERRUPTED if excitation.interrupted else 0,
     )
-
-
-def _start(seed: int | None) -> str:
-    """Return what a search started from."""
-    return "file" if seed is None else f"seed {seed}"
 
 
 def _sweep(

@@ -311,7 +311,6 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
         Wall,
         capsules_of,
         default_limits,
-        jerk_limit,
         load_capsules,
         workspace_box,
     )
@@ -331,8 +330,6 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
         clearance=args.self_collision if workspace else None,
     )
     limits = [x for x in defaults if not (args.no_torque and isinstance(x, Torque))]
-    if args.jerk:
-        limits.append(jerk_limit(args.jerk if len(args.jerk) > 1 else args.jerk[0]))
     limits += [Wall((x, y, z), d, capsules=links) for x, y, z, d in args.wall]
     for corners in args.workspace_box:
         limits += workspace_box(corners[:3], corners[3:], capsules=links)

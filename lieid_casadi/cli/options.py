@@ -236,7 +236,6 @@ SHARED = {
     == limits in addition to those of position and velocity
     --acceleration A …: number  acceleration limits, rad/s², one or one per joint; default: the
         robot's, or 3
-    --jerk J …: number  jerk limits, rad/s³, one or one per joint; default: none
     --margin F: number = 0.8  fraction of the velocity and torque limits that is used
     --no-torque  do not check torque limits
     --cartesian-speed M/S: number = 1.5  highest speed of the tool and of the joint centres, m/s

@@ -25,10 +25,10 @@ from lieid_casadi.excitation.limits import (
 )
 from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.excitation.trajectory import (
+    Fourier,
     MotionSamples,
     Parametrization,
     SampledBasis,
-    make,
     period_grid,
 )
 from lieid_casadi.identification import Fit
@@ -134,7 +134,7 @@ def feasible_motions(
     start_pose: ArrayLike | None,
 ) -> FeasibleMotions:
     """Return the motions of a Fourier basis within limits; they start and end at rest."""
-    basis = make("fourier", duration=duration, harmonics=harmonics)
+    basis = Fourier(harmonics, duration)
     if samples is None:
         samples = max(SAMPLES, 8 * basis.size)
     if samples < 4 * basis.size:

@@ -11,34 +11,23 @@ from lieid_casadi.excitation.clearance import (
 from lieid_casadi.excitation.criteria import Criterion
 from lieid_casadi.excitation.excite import Excitation, excite
 from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep
-from lieid_casadi.excitation.limits import (
-    CartesianSpeed,
-    ConstraintSet,
-    ExpressionLimit,
-    Limit,
-    Symbols,
-    jerk_limit,
-)
+from lieid_casadi.excitation.limits import CartesianSpeed, ConstraintSet, Limit, SymbolicSet
 from lieid_casadi.excitation.links import Capsule, capsules_of, enclosing, load_capsules, skeleton
 from lieid_casadi.excitation.torque_limit import Torque
-from lieid_casadi.excitation.trajectory import Basis, BSpline, Fourier, ModifiedFourier
+from lieid_casadi.excitation.trajectory import Fourier
 
 __all__ = [
-    "BSpline",
-    "Basis",
     "Capsule",
     "CartesianSpeed",
     "ConstraintSet",
     "Criterion",
     "Excitation",
-    "ExpressionLimit",
     "Fourier",
     "FrictionSweep",
     "Limit",
-    "ModifiedFourier",
     "Obstacle",
     "SelfCollision",
-    "Symbols",
+    "SymbolicSet",
     "Torque",
     "Wall",
     "capsules_of",
@@ -47,7 +36,6 @@ __all__ = [
     "excite",
     "floor",
     "friction_sweep",
-    "jerk_limit",
     "load_capsules",
     "skeleton",
     "workspace_box",

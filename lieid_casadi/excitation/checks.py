@@ -142,7 +142,7 @@ def at_control_rate(motion: MotionSamples) -> MotionSamples:
     ]
     coefficients = np.tensordot(np.linalg.inv(_ENDS), np.stack(ends), axes=1)
     quintics = PPoly(coefficients / h ** np.arange(5, -1, -1)[:, None, None], motion.t)
-    return MotionSamples(t, *(quintics(t, order) for order in range(4)))
+    return MotionSamples(t, *(quintics(t, order) for order in range(3)))
 
 
 # powers 5 to 0 of u and their first two derivatives at the ends u = 0 and 1 of a step
@@ -332,8 +332,7 @@ def _kinds_without_limit(robot: Robot, limits: Sequence[Limit]) -> Iterator[str]
     """Yield the usual limits that are not among those of a design."""
     if not any(isinstance(limit, Torque) for limit in limits):
         yield "torque of every joint"
-    if not any(getattr(limit, "name", "") == "jerk" for limit in limits):
-        yield "jerk"
+    yield "jerk"
     if not any(isinstance(limit, CartesianSpeed) for limit in limits):
         yield "tool speed"
     if not any(isinstance(limit, Wall) and limit.normal[2] < 0.0 for limit in limits):

@@ -31,9 +31,6 @@ from lieid_casadi.model import Model
 CriterionExpression = Callable[[ca.SX], ca.SX]
 CriterionName = Literal["combined", "condition", "hadamard", "logdet"]
 NAMES: tuple[CriterionName, ...] = get_args(CriterionName)
-NAMED = 3  # base parameters that name a weak direction
-WEAK = 3  # directions that are reported
-NAMED_SHARE = 0.1  # smallest part of a direction that is named
 SMALLEST = 1e-14  # of the largest eigenvalue; smaller ones are replaced by it
 
 
@@ -285,39 +282,18 @@ def base_regressor(
     return every[:, [int(k) for k in model.base.kept]]
 
 
-@dataclass(frozen=True)
-class WeakDirection:
-    """A direction of the parameters that changes the torques least.
-
-    The singular value is the root sum of squares of the torques per unit of parameter along it;
-    ``parameters`` are the names and shares, −1 to 1, of its largest components.
-    """
-
-    singular_value: float
-    parameters: tuple[tuple[str, float], ...]
-
-    @property
-    def text(self) -> str:
-        """E.g. ``0.9 Ixx7 − 0.4 Iyy7``."""
-        first, *rest = self.parameters
-        terms = [f"{first[1]:.2g} {first[0]}"]
-        terms += [f"{'−' if share < 0 else '+'} {abs(share):.2g} {name}" for name, share in rest]
-        return " ".join(terms)
-
-
 @dataclass(frozen=True, eq=False)
 class Quality:
     """How well the samples of a motion determine the parameters.
 
     Singular values (P,) are those of the stacked full regressor, SI, largest first; those beyond
     the structural rank are rounding. ``neg_log_det`` is that of the base regressor's Gram matrix
-    (C4), ``weak`` the directions of the smallest singular values, the smallest first.
+    (C4).
     """
 
     singular_values: Array
     rank: int
     neg_log_det: float
-    weak: tuple[WeakDirection, ...]
 
     @property
     def condition_number(self) -> float:
@@ -329,16 +305,8 @@ def quality(model: Model, motion: MotionSamples, fit: FittedArm | None = None) -
     """Evaluate the model's own columns, sharp signs included, at samples of a motion."""
     base, full = stacked_regressors(model, motion, fit)
     sizes = np.linalg.svd(full, compute_uv=False)
-    metric = np.linalg.cholesky(model.base.combination @ model.base.combination.T)
-    _, small, rows = np.linalg.svd(base @ metric, full_matrices=False)
-    directions = metric @ rows.T
-    names, rank = [model.base.names[k] for k in model.base.kept], model.base.count
-    weak = tuple(
-        _direction(float(small[-1 - k]), directions[:, -1 - k], names)
-        for k in range(min(WEAK, rank))
-    )
     volume = float(np.linalg.slogdet(base.T @ base)[1])
-    return Quality(np.asarray(sizes), rank, -volume, weak)
+    return Quality(np.asarray(sizes), model.base.count, -volume)
 
 
 def stacked_regressors(
@@ -358,12 +326,3 @@ def stacked_regressors(
         columns.append(arm.effect_columns(*signals, load=load, time=motion.t, shapes=shapes))
     full = np.concatenate(columns, axis=2).reshape(-1, len(model.base.names))
     return np.ascontiguousarray(full[:, model.base.kept]), full
-
-
-def _direction(size: float, direction: Array, names: list[str]) -> WeakDirection:
-    shares = direction / np.linalg.norm(direction)
-    largest = np.argsort(-np.abs(shares))[:NAMED]
-    if shares[largest[0]] < 0.0:
-        shares = -shares
-    parts = [(names[k], float(shares[k])) for k in largest if abs(shares[k]) > NAMED_SHARE]
-    return WeakDirection(size, tuple(parts))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,13 +38,11 @@ from lieid_casadi.excitation.limits import (
 from lieid_casadi.excitation.rigid_arm import nearness_to_singular
 from lieid_casadi.excitation.sample_functions import FittedArm, IdentifiedModel, model_and_fit
 from lieid_casadi.excitation.trajectory import (
-    Basis,
+    Fourier,
     MotionSamples,
     Parametrization,
     SampledBasis,
     Trajectory,
-    check_basis,
-    load_positions,
     period_grid,
 )
 from lieid_casadi.model import Model
@@ -66,16 +63,14 @@ FAR = 0.3  # distance of −log det per parameter from Δ₂ above which its gra
 
 @dataclass(frozen=True, eq=False)
 class ExcitationDesign:
-    """Specification of a design; picklable, so that another process can solve it.
+    """Specification of a design; ``limits`` are those besides the joints'.
 
-    ``limits`` are those besides the joints'. Without a ``pose`` one is found within all limits;
-    ``start`` (N, n) are positions over one period, equidistant in time, from which the first
-    search starts.
+    Without a ``pose`` one is found within all limits.
     """
 
     model: Model
     fit: FittedArm | None
-    basis: Basis
+    basis: Fourier
     samples: int
     range: MotionRange
     limits: tuple[Limit, ...]
@@ -83,13 +78,12 @@ class ExcitationDesign:
     criterion: CriterionName | CriterionExpression | Criterion
     condition_threshold: float | None = None
     neg_log_det_threshold: float | None = None
-    start: Array | None = None
 
 
 def make_design(
     source: Model | Robot | IdentifiedModel,
     *,
-    basis: Basis,
+    basis: Fourier,
     criterion: CriterionName | CriterionExpression | Criterion = "combined",
     inertial_only: bool = False,
     limits: Sequence[Limit] | None = None,
@@ -99,7 +93,6 @@ def make_design(
     samples: int = 100,
     condition_threshold: float | None = None,
     neg_log_det_threshold: float | None = None,
-    start: str | Path | None = None,
 ) -> ExcitationDesign:
     """Check the arguments of `excite` and return the design that they specify."""
     if isinstance(criterion, str) and criterion not in NAMES:
@@ -107,7 +100,6 @@ def make_design(
             f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}, or a function of the "
             "information matrix"
         )
-    check_basis(basis)
     if not 4 * basis.size <= samples <= MOST_SAMPLES:
         raise ExcitationError(
             f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
@@ -119,9 +111,6 @@ def make_design(
     robot = reduced.robot
     joints = motion_range(robot, acceleration, margin=margin)
     check_duration(robot, joints, basis.duration)
-    first = None if start is None else load_positions(start, robot.n)
-    if start_pose is None and first is not None:
-        start_pose = first[0]
     pose = None if start_pose is None else np.asarray(start_pose, dtype=float)
     if pose is not None:
         check_start_pose(robot, joints, pose)
@@ -129,7 +118,7 @@ def make_design(
         limits = default_limits(robot, margin=margin)
     return ExcitationDesign(
         reduced, fit, basis, samples, joints, tuple(limits), pose, criterion,
-        condition_threshold, neg_log_det_threshold, first,
+        condition_threshold, neg_log_det_threshold,
     )  # fmt: skip
 
 
@@ -360,6 +349,6 @@ def find_start_pose(
 def _excess_at_rest(poses: Array, sets: Sequence[ConstraintSet]) -> tuple[Array, list[str]]:
     """Return scaled excesses (k, N) at rest in poses (N, n), and the names of the quantities."""
     rest = np.zeros_like(poses)
-    motion = MotionSamples(np.zeros(len(poses)), poses, rest, rest, rest)
+    motion = MotionSamples(np.zeros(len(poses)), poses, rest, rest)
     parts = [s.excess(s.values(motion)) / s.scale[:, None] for s in sets]
     return np.concatenate(parts), [label for s in sets for label in s.labels]

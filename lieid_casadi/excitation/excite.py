@@ -6,7 +6,6 @@ import io
 import json
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +28,6 @@ from lieid_casadi.excitation.criteria import (
 )
 from lieid_casadi.excitation.design import ExcitationProblem, make_design
 from lieid_casadi.excitation.limits import Limit
-from lieid_casadi.excitation.rigid_arm import RigidArm
 from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
 from lieid_casadi.excitation.search import (
     IterationRecord,
@@ -37,13 +35,10 @@ from lieid_casadi.excitation.search import (
     solve_all,
 )
 from lieid_casadi.excitation.trajectory import (
-    Basis,
-    BasisName,
+    Fourier,
     MotionSamples,
     Trajectory,
     csv_text,
-    joint_trajectory_yaml,
-    make,
     period_grid,
 )
 from lieid_casadi.json_numbers import number_or_none
@@ -57,7 +52,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_ROWS = 10_000_000  # of a trajectory file
-ROS_RATE = 100.0  # Hz; joint trajectory controllers interpolate with quintics between points
 PLOTTED = 600  # samples of a figure
 
 
@@ -71,7 +65,6 @@ def excite(
     start_pose: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
     margin: float = MARGIN,
-    basis: BasisName | Basis = "fourier",
     duration: float = 20.0,
     harmonics: int = 5,
     periods: int = 1,
@@ -79,12 +72,10 @@ def excite(
     rate: float = 1000.0,
     condition_threshold: float | None = None,
     neg_log_det_threshold: float | None = None,
-    start: str | Path | None = None,
     starts: int = 4,
     seed: int = 0,
     max_iterations: int | None = None,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
-    executor: Executor | None = None,
 ) -> Excitation:
     """Design an optimal excitation trajectory within limits.
 
@@ -114,8 +105,9 @@ def excite(
         Leave the model's effects out, for comparison with the literature.
     limits : sequence of Limit, optional
         Limits besides those of the joints: `Torque`, `CartesianSpeed`, `Wall`, `Obstacle`,
-        `SelfCollision`, `ExpressionLimit` for your own. Default: those of `default_limits`, which
-        yours may follow: ``limits=[*default_limits(robot), mine]``; ``()`` leaves all out.
+        `SelfCollision`, or objects of your own with the method of
+        `lieid_casadi.excitation.Limit`. Default: those of `default_limits`, which yours may
+        follow: ``limits=[*default_limits(robot), mine]``; ``()`` leaves all out.
     start_pose : (n,), optional
         Pose at rest at start and end, rad. Default: the middle of the joint ranges or, where that
         is near a limit or a singular pose, one that is far from both.
@@ -123,13 +115,10 @@ def excite(
         Limits in place of the robot's, rad/s². Default: 3 where the robot states none.
     margin : float
         Part of the velocity limits, and of the torque limits by default, that is used.
-    basis : str or Basis
-        ``fourier`` (Eq. 19), ``modified_fourier``, ``bspline``, or an object with the members of
-        `Basis`, whose duration is then used.
     duration : float
         Length of one period, s.
     harmonics : int
-        Of the period's frequency; a B-spline has as many free coefficients.
+        Of the period's frequency, in the Fourier series (Eq. 19).
     periods : int
         How often the period is repeated.
     samples : int
@@ -142,13 +131,10 @@ def excite(
     neg_log_det_threshold : float, optional
         Δ₂ of ``combined`` (Eq. 20): bound on −log det of the base regressor's Gram matrix, SI.
         Default: the value that minimizing 1/∏ of the column norms reaches, plus 0.5 a parameter.
-    start : str or Path, optional
-        Trajectory file (CSV with t, q1 … qn, as ``trajectory.csv``) of one period, from which the
-        first search starts; its first pose is the start pose unless one is given.
     starts : int
-        Number of starts; the best trajectory is returned. All are random but that from a file.
+        Number of random starts; the best trajectory is returned.
     seed : int
-        Of the first start; the others follow. Results do not depend on threads, executors or the
+        Of the first start; the others follow. Results do not depend on threads or the
         instruction set of the compiled functions. The rounding of the linear algebra depends on
         the processor, and the search amplifies it: between OpenBLAS kernels the condition number
         of the best of four starts changes by 1 to 10 %.
@@ -157,10 +143,8 @@ def excite(
         tolerance. There is no limit in seconds, so that results do not depend on the load of the
         machine.
     progress : callable
-        Called with what is done and the fraction that is done.
-    executor : Executor, optional
-        Of `concurrent.futures`, with the same result; without one the starts run one after the
-        other, and an interrupt (Ctrl-C) keeps the best trajectory so far.
+        Called with what is done and the fraction that is done. An interrupt (Ctrl-C) keeps the
+        best trajectory so far.
 
     Returns
     -------
@@ -176,28 +160,21 @@ def excite(
     """
     began = time.monotonic()
     model = model_and_fit(source)[0]
-    chosen = (
-        make(basis, duration=duration, harmonics=harmonics) if isinstance(basis, str) else basis
-    )
     design = make_design(
         source, criterion=criterion, inertial_only=inertial_only, limits=limits,
         start_pose=start_pose, acceleration=acceleration, margin=margin, samples=samples,
-        basis=chosen, condition_threshold=condition_threshold,
-        neg_log_det_threshold=neg_log_det_threshold, start=start,
+        basis=Fourier(harmonics, duration), condition_threshold=condition_threshold,
+        neg_log_det_threshold=neg_log_det_threshold,
     )  # fmt: skip
     _check(
-        rate=rate, duration=chosen.duration, seed=seed, periods=periods, starts=starts,
+        rate=rate, duration=duration, seed=seed, periods=periods, starts=starts,
         max_iterations=max_iterations,
     )  # fmt: skip
     progress("compiling", 0.0)
     problem = ExcitationProblem(design)
     built = time.monotonic()
-    seeds: list[int | None] = [seed + k for k in range(starts)]
-    if start is not None:
-        seeds = [None, *seeds[:-1]]
-    attempts = solve_all(
-        problem, seeds, progress=progress, executor=executor, max_iterations=max_iterations
-    )
+    seeds = range(seed, seed + starts)
+    attempts = solve_all(problem, seeds, progress=progress, max_iterations=max_iterations)
     best, z = best_of(attempts)
     trajectory = problem.parametrization.trajectory(z)
     times = np.append(np.arange(0.0, trajectory.duration, 1.0 / rate), trajectory.duration)
@@ -340,23 +317,21 @@ class Excitation:
         period = self.trajectory.duration
         phase = time - period * np.floor(np.minimum(time / period, self.periods - 1e-12))
         motion = self.trajectory.at(phase)
-        return MotionSamples(time, motion.q, motion.dq, motion.ddq, motion.dddq)
+        return MotionSamples(time, motion.q, motion.dq, motion.ddq)
 
     @property
     def coefficients(self) -> dict[str, Any]:
-        """The trajectory's coefficients; for the Fourier series those of Eq. 19."""
-        values = self.trajectory.coefficients
-        basis = self.trajectory.basis
-        result: dict[str, Any] = {"family": basis.name, "duration": basis.duration}
-        if basis.name == "fourier":
-            harmonics = (values.shape[1] - 1) // 2
-            result["base_frequency"] = 1.0 / basis.duration
-            result["q0"] = values[:, 0].tolist()
-            result["a"] = values[:, 1 : harmonics + 1].tolist()
-            result["b"] = values[:, harmonics + 1 :].tolist()
-        else:
-            result["values"] = values.tolist()
-        return result
+        """Coefficients of the Fourier series (Eq. 19)."""
+        values, duration = self.trajectory.coefficients, self.trajectory.duration
+        harmonics = (values.shape[1] - 1) // 2
+        return {
+            "family": "fourier",
+            "duration": duration,
+            "base_frequency": 1.0 / duration,
+            "q0": values[:, 0].tolist(),
+            "a": values[:, 1 : harmonics + 1].tolist(),
+            "b": values[:, harmonics + 1 :].tolist(),
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON of ``lieid excite``."""
@@ -385,13 +360,6 @@ class Excitation:
             "checked": list(self.checked),
             "unchecked": list(self.unchecked),
             "active_limits": [asdict(limit) for limit in self.active_limits],
-            "weak": [
-                {
-                    "singular_value": w.singular_value,
-                    "parameters": [{"name": name, "share": share} for name, share in w.parameters],
-                }
-                for w in self.quality.weak
-            ],
             "starts": [
                 {
                     "seed": s.seed,
@@ -409,24 +377,16 @@ class Excitation:
         }
 
     def summary(self) -> str:
-        """Return a text summary: quality, active limits, weakest directions."""
+        """Return a text summary: quality, what was checked, active limits."""
         q = self.quality
         effects = ", ".join(self.model.effects) or "no effects"
-        random = [s.first_condition_number for s in self.starts]
-        random = [number for number in random if np.isfinite(number)]
-        against = ""
-        if random:
-            against = (
-                f" Random starts had {np.median(random):.3g} after one iteration (median of "
-                f"{len(random)})."
-            )
         lines = [
             f"Excitation of {self.model.robot.name}: {self.duration:.4g} s "
             f"({self.periods} × {self.trajectory.duration:.4g} s).",
             f"Condition number {self.condition_number:.4g} (σ₁ {q.singular_values[0]:.4g}, "
             f"σ_r {q.singular_values[q.rank - 1]:.4g} of the full regressor at {self.samples} "
             f"samples, SI, {effects}); −log det {self.neg_log_det:.4g} for {q.rank} base "
-            f"parameters. Solved by Ipopt.{against}",
+            "parameters. Solved by Ipopt.",
             "These limits are met at 1 kHz (largest excess "
             f"{self.max_violation:.1g}): {'; '.join(self.checked)}.",
             f"Not checked: {'; '.join(self.unchecked)}.",
@@ -435,24 +395,20 @@ class Excitation:
             names = ", ".join(limit.quantity for limit in self.active_limits[:6])
             more = f" and {len(self.active_limits) - 6} more" if len(self.active_limits) > 6 else ""
             lines.append(f"Active limits: {names}{more}.")
-        weak = "; ".join(f"{w.text} (σ {w.singular_value:.3g})" for w in q.weak)
-        lines.append(f"Directions of the base parameters that change the torques least: {weak}.")
         if self.interrupted:
             lines.append("The search was interrupted; this is the best trajectory so far.")
         lines += [f"! {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
     def plot(self, ax: None = None) -> Figure:
-        """Return a figure: positions within limits, path of the tool, history of the criterion."""
+        """Return a figure: positions within limits, history of the criterion."""
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(12.0, 7.5), layout="constrained")
-        grid = figure.add_gridspec(2, 2, width_ratios=[2.0, 1.0])
+        figure = Figure(figsize=(12.0, 5.0), layout="constrained")
         motion, robot = self.at(np.linspace(0.0, self.duration, PLOTTED)), self.model.robot
-        plot_positions(motion, robot, figure.add_subplot(grid[:, 0]))
-        path = RigidArm(robot).tool_path(motion.q)
-        plot_tool_path(path, figure.add_subplot(grid[0, 1], projection="3d"))
-        plot_history(self.history, figure.add_subplot(grid[1, 1]))
+        left, right = figure.subplots(1, 2, width_ratios=[2.0, 1.0])
+        plot_positions(motion, robot, left)
+        plot_history(self.history, right)
         figure.suptitle(
             f"{robot.name}: condition number {self.condition_number:.4g}, {self.duration:.4g} s",
             parse_math=False,  # "$" in a robot's name is no formula
@@ -460,7 +416,7 @@ class Excitation:
         return figure
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
-        """Write trajectory, JSON, plot, text and ROS 2 message into a folder; return the files.
+        """Write trajectory, JSON, plot and text into a folder; return the files.
 
         Parameters
         ----------
@@ -475,14 +431,11 @@ class Excitation:
             The folder has other content or cannot be written.
         """
         content = {"schema": 1} | self.to_dict()
-        ros = self.motion(min(ROS_RATE, self.rate))
-        names = [joint.name for joint in self.model.robot.joints]
         figure = io.BytesIO()
         self.plot().savefig(figure, format="png", dpi=120)
         files = {
             "trajectory.csv": csv_text(self.motion(), self.checked, self.unchecked).encode(),
             "excitation.json": json.dumps(content, indent=1, ensure_ascii=False).encode(),
-            "joint_trajectory.yaml": joint_trajectory_yaml(ros, names).encode(),
             "excitation.png": figure.getvalue(),
             "summary.txt": (self.summary() + "\n").encode(),
         }
@@ -514,14 +467,6 @@ def plot_positions(motion: MotionSamples, robot: Robot, ax: Axes) -> None:
     ax.set_xlim(t[0], t[-1])
     ax.set_xlabel("time, s")
     ax.set_title("positions; grey: range of the joint")
-
-
-def plot_tool_path(path: Array, ax: Axes) -> None:
-    """Draw the path (N, 3) of the tool in the base frame."""
-    ax.plot(*path.T, linewidth=1.0)
-    ax.plot(*path[:1].T, marker="o", markersize=5, linestyle="", color="black")
-    ax.set_title("tool, base frame (m); dot: rest pose")
-    ax.set_aspect("equal")
 
 
 def plot_history(history: Sequence[IterationRecord], ax: Axes) -> None:

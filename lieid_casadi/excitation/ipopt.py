@@ -95,7 +95,7 @@ class SampledConstraints:
 
     def jacobian(self, motion: MotionSamples, rows: Indices) -> Array:
         """Return ∂excess/∂z (R, n d) of rows."""
-        functions = self.sampled.functions  # (n, 4, N, d)
+        functions = self.sampled.functions  # (n, 3, N, d)
         n, _, count, d = functions.shape
         limit, sample = np.divmod(rows, count)
         result = np.zeros((len(rows), n, d))
@@ -108,11 +108,10 @@ class SampledConstraints:
             below, quantity = below[own], quantity[own]
             samples, place = np.unique(sample[own], return_inverse=True)
             slopes = limits.jacobian(motion.at(samples))
-            kinds = slopes.shape[1] // n  # of derivatives of the position, itself included
             factor = (1 - 2 * below) / limits.scale[quantity]
-            slopes = (slopes[quantity, :, place] * factor[:, None]).reshape(-1, kinds, n)
+            slopes = (slopes[quantity, :, place] * factor[:, None]).reshape(-1, 3, n)
             result[own] = np.einsum(
-                "rkj,jkrd->rjd", slopes, functions[:, :kinds, sample[own], :], optimize=True
+                "rkj,jkrd->rjd", slopes, functions[:, :, sample[own], :], optimize=True
             )
         return result.reshape(len(rows), n * d)
 

@@ -1,11 +1,10 @@
-"""Limits on a motion: of joints, of the tool's speed, and of expressions of your own."""
+"""Limits on a motion: of joints, of expressions of its symbols, and of the tool's speed."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 from typing import Protocol
 
 import casadi as ca
@@ -17,14 +16,8 @@ from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion, Pose, constant, cross
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.links import fixed_frames
-from lieid_casadi.excitation.sample_functions import (
-    SIGN_WIDTH,
-    FittedArm,
-    SampleKernel,
-    motion_jacobian,
-)
+from lieid_casadi.excitation.sample_functions import FittedArm, SampleKernel, motion_jacobian
 from lieid_casadi.excitation.trajectory import MotionSamples
-from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.robot import Robot
 
 ACCELERATION = 3.0  # rad/s² (m/s²) where the robot states none
@@ -70,7 +63,7 @@ class ConstraintSet(ABC):
 
     @abstractmethod
     def jacobian(self, motion: MotionSamples) -> Array:
-        """Return ∂values/∂(q, dq, ddq) (k, 3 n, N), or by the jerk dddq, too (k, 4 n, N)."""
+        """Return ∂values/∂(q, dq, ddq) (k, 3 n, N)."""
 
     def excess(self, values: Array) -> Array:
         """Return by how much values (k, N) exceed the limits, in their units; negative inside."""
@@ -256,8 +249,8 @@ def _joint(robot: Robot, j: int) -> str:
 class SymbolicSet(ConstraintSet):
     """Quantities (k,) given as CasADi expressions of a motion's symbols.
 
-    Jacobians (k, 3 n) are by differentiation where none are given. With a jerk's symbol the
-    quantities may depend on it, too. ``facts`` are attributes of `ConstraintSet`.
+    Jacobians (k, 3 n) are by differentiation where none are given. ``facts`` are attributes of
+    `ConstraintSet`.
     """
 
     def __init__(
@@ -266,40 +259,23 @@ class SymbolicSet(ConstraintSet):
         motion: Motion,
         quantities: ca.SX,
         jacobian: ca.SX | None = None,
-        *,
-        jerk: ca.SX | None = None,
         **facts: object,
     ) -> None:
-        slopes = motion_jacobian(quantities, motion) if jacobian is None else jacobian
-        further = {}
-        if jerk is not None and ca.depends_on(quantities, jerk):
-            further = {"dddq": jerk}
-            slopes = ca.horzcat(slopes, ca.jacobian(quantities, jerk))
-        self._needs_jerk = bool(further)
         vars(self).update(facts)
         if not quantities.numel():
             return
+        slopes = motion_jacobian(quantities, motion) if jacobian is None else jacobian
         name = "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
-        self._values = SampleKernel(name, motion, ca.densify(quantities), further)
-        self._slopes = SampleKernel(f"{name}_jacobian", motion, slopes, further)
+        self._values = SampleKernel(name, motion, ca.densify(quantities))
+        self._slopes = SampleKernel(f"{name}_jacobian", motion, slopes)
 
     def values(self, motion: MotionSamples) -> Array:
         """See `ConstraintSet`."""
-        # identically zero quantities included
-        return self._values.dense(motion, **self._inputs(motion))[:, 0]
+        return self._values.dense(motion)[:, 0]  # identically zero quantities included
 
     def jacobian(self, motion: MotionSamples) -> Array:
         """See `ConstraintSet`."""
-        return self._slopes.dense(motion, **self._inputs(motion))
-
-    def _inputs(self, motion: MotionSamples) -> dict[str, Array]:
-        if not self._needs_jerk:
-            return {}
-        if motion.dddq is None:
-            raise ExcitationError(
-                f"{self.labels[0]}: the jerk of this motion is not computed; leave the limit out"
-            )
-        return {"dddq": motion.dddq}
+        return self._slopes.dense(motion)
 
 
 @dataclass(frozen=True)
@@ -352,125 +328,6 @@ def link_poses(robot: Robot, motion: Motion) -> list[Pose]:
     """Return the frames of the base and of every link, in the base frame."""
     base = Pose(ca.SX(ca.DM.eye(3)), ca.SX(3, 1))
     return [base, *recursion.link_poses(robot, motion)]
-
-
-@dataclass(frozen=True)
-class Symbols:
-    """Symbols of one sample of a motion, from which an `ExpressionLimit` is composed.
-
-    Attributes
-    ----------
-    q, dq, ddq, dddq : SX (n,)
-        Motion: rad, rad/s, rad/s², rad/s³ (m for prismatic joints).
-    tau : SX (n,)
-        Torque, N·m: of a fit with all effects, where excite designs for a fit; otherwise the
-        rigid torque of the stated inertias.
-    tool : SX (3,)
-        Position of the tool in the base frame, m.
-    """
-
-    q: ca.SX
-    dq: ca.SX
-    ddq: ca.SX
-    dddq: ca.SX
-    tau: ca.SX
-    tool: ca.SX
-
-
-@dataclass(frozen=True)
-class ExpressionLimit:
-    """Quantities between bounds at every sample, as a function of `Symbols`.
-
-    The expression is differentiated by CasADi, so it should be smooth where it is near a bound
-    (a smooth maximum in place of ``fmax``, a squared length in place of a norm that may be 0).
-
-    Attributes
-    ----------
-    name : str
-        In messages and in the lists of what was checked.
-    expression : callable
-        `Symbols` → SX (k,). A function of a module, if an executor is used.
-    lower, upper : float or (k,)
-        Bounds; infinite where there is none.
-    unit : str
-        Of the quantities, in messages.
-
-    Examples
-    --------
-    >>> import casadi as ca
-    >>> power = ExpressionLimit("power", lambda s: ca.dot(s.tau, s.dq), upper=150.0, unit="W")
-    """
-
-    name: str
-    expression: Callable[[Symbols], ca.SX]
-    lower: ArrayLike = -np.inf
-    upper: ArrayLike = np.inf
-    unit: str = ""
-
-    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
-        """See `Limit`."""
-        motion, jerk = Motion.symbols(robot.n), ca.SX.sym("dddq", robot.n)
-        values = ca.SX(self.expression(_symbols(robot, fit, motion, jerk)))
-        if values.size2() != 1 or values.size1() == 0:
-            raise ExcitationError(
-                f"limit {self.name!r}: shape {values.shape}; expected a column of expressions"
-            )
-        count = values.size1()
-        try:
-            lower, upper = (
-                np.broadcast_to(np.asarray(bound, dtype=float), count).copy()
-                for bound in (self.lower, self.upper)
-            )
-        except ValueError:
-            raise ExcitationError(
-                f"limit {self.name!r}: expected one bound, or {count}, one per expression"
-            ) from None
-        if not np.all(lower < upper):
-            raise ExcitationError(f"limit {self.name!r}: a lower bound is not below the upper one")
-        sizes = [np.abs(np.where(np.isfinite(bound), bound, 0.0)) for bound in (lower, upper)]
-        largest = np.maximum(*sizes)
-        bounds = " and ".join(
-            f"{word} {numbers(bound)}"
-            for word, bound in (("at least", lower), ("at most", upper))
-            if np.isfinite(bound).all()
-        )
-        names = [self.name] if count == 1 else [f"{self.name} {k + 1}" for k in range(count)]
-        return SymbolicSet(
-            f"limit_{self.name}", motion, values, jerk=jerk,
-            title=f"{self.name} of {bounds} {self.unit}".rstrip(), labels=tuple(names),
-            units=(self.unit,) * count, lower=lower, upper=upper,
-            scale=np.where(largest > 0.0, largest, 1.0), remedy="its bounds, or a longer duration",
-        )  # fmt: skip
-
-
-def jerk_limit(limit: ArrayLike) -> ExpressionLimit:
-    """Return the limit that every joint's jerk stays within ± a limit.
-
-    Parameters
-    ----------
-    limit : float or (n,)
-        rad/s³, above 0.
-
-    Raises
-    ------
-    ExcitationError
-        A limit that is not positive.
-    """
-    bound = np.asarray(limit, dtype=float)
-    if not np.all(bound > 0.0):
-        raise ExcitationError(f"jerk: {bound}; expected positive numbers, rad/s³")
-    return ExpressionLimit("jerk", attrgetter("dddq"), lower=-bound, upper=bound, unit="rad/s³")
-
-
-def _symbols(robot: Robot, fit: FittedArm | None, motion: Motion, jerk: ca.SX) -> Symbols:
-    if fit is None:
-        links = ca.SX(ca.DM(robot.link_parameters))
-        torque = recursion.inverse_dynamics(robot, motion, links)
-    else:
-        sign = ramp(motion.dq, ca.SX(ca.DM(SIGN_WIDTH * robot.limit("velocity"))))
-        torque = fit.torque_columns(motion, sign, sign[0], ca.SX(0.0))[:, 0]
-    tool = recursion.tool_in_base(robot, motion).translation
-    return Symbols(motion.q, motion.dq, motion.ddq, jerk, ca.densify(torque), ca.densify(tool))
 
 
 def numbers(values: Array) -> str:

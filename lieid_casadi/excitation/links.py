@@ -12,7 +12,6 @@ from typing import Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
@@ -21,7 +20,6 @@ from lieid_casadi.robot.urdf import captured
 from lieid_casadi.robot.yaml_text import FARTHEST, Field
 
 SKELETON_RADIUS = 0.06  # of the arm's length, where there is no geometry
-SPLIT_VOLUME = 0.7  # of one capsule's volume: several capsules must be smaller in sum
 RIM_POINTS = 24  # on the rim of a cylinder, outside of it, so that their hull contains it
 BUNDLED = {"panda.yaml": ("panda", "panda_luo2024")}  # capsules → robots with these link frames
 WIDE = {"lower": "-1e6", "upper": "1e6", "effort": "1e6", "velocity": "1e6"}
@@ -47,7 +45,7 @@ class Capsule:
 class Shape:
     """A shape of a link: of the library coal, placed in the link's frame.
 
-    It is in the hull of balls of ``radius`` around ``points`` (k, 3), m; meshes have ``faces``.
+    It is in the hull of balls of ``radius`` around ``points`` (k, 3), m.
     """
 
     link: int
@@ -56,7 +54,6 @@ class Shape:
     origin: Array
     points: Array
     radius: float
-    faces: NDArray[np.int64] | None = None
 
 
 def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
@@ -68,7 +65,7 @@ def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
     as unchecked.
     """
     shapes, unknown = collision_shapes(robot)
-    found = tuple(capsule for shape in shapes for capsule in _around(shape))
+    found = tuple(map(_around, shapes))
     if not found:
         found, unknown = _bundled(robot), ()
     moving = {name: link for name, link, _ in fixed_frames(robot)}
@@ -261,7 +258,7 @@ def _shape(link: int, placed: Any) -> Shape:
     import coal
 
     shape, along = placed.geometry, np.array([0.0, 0.0, 1.0])
-    radius, faces = 0.0, None
+    radius = 0.0
     if isinstance(shape, coal.Sphere):
         points, radius = np.zeros((1, 3)), float(shape.radius)
     elif isinstance(shape, coal.Capsule):
@@ -276,48 +273,20 @@ def _shape(link: int, placed: Any) -> Shape:
         heights = np.repeat([shape.halfLength, -shape.halfLength], RIM_POINTS)
         points = np.column_stack([np.tile(rim, 2).T, heights])
     elif hasattr(shape, "vertices"):
-        triangles = [shape.tri_indices(k) for k in range(shape.num_tris)]
-        faces = np.array([[triangle[corner] for corner in range(3)] for triangle in triangles])
         points = np.array(shape.vertices())
     else:
         kind = type(shape).__name__
         raise RobotError(f"collision shape {kind} is not supported; give --capsules")
     rotation, origin = np.array(placed.placement.rotation), np.array(placed.placement.translation)
-    return Shape(link, shape, rotation, origin, points @ rotation.T + origin, radius, faces)
+    return Shape(link, shape, rotation, origin, points @ rotation.T + origin, radius)
 
 
-def _around(shape: Shape) -> list[Capsule]:
-    """Return capsules that contain a shape."""
+def _around(shape: Shape) -> Capsule:
+    """Return a capsule that contains a shape."""
     if shape.radius > 0.0:
         ends = shape.points[-1], shape.points[0]
-        return [Capsule(shape.link, *ends, shape.radius, "shape")]
-    return enclosing_all(shape.link, shape.points, shape.faces)
-
-
-def enclosing_all(
-    link: int, points: Array, faces: NDArray[np.int64] | None = None, *, splits: int = 2
-) -> list[Capsule]:
-    """Return one capsule around points (N, 3), or several where their volume is smaller.
-
-    A mesh with faces (F, 3) is cut in two across its longest direction, and the parts again as
-    often as ``splits`` says; each triangle is inside one capsule.
-    """
-    whole = enclosing(link, points)
-    if faces is None or splits == 0 or len(faces) < 8:
-        return [whole]
-    centred = points - points.mean(axis=0)
-    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
-    middle = (centred @ axis)[faces].mean(axis=1)
-    parts: list[Capsule] = []
-    for chosen in (middle <= np.median(middle), middle > np.median(middle)):
-        if not chosen.any():
-            return [whole]
-        used, renumbered = np.unique(faces[chosen], return_inverse=True)
-        part = renumbered.reshape(-1, 3)
-        parts += enclosing_all(link, points[used], part, splits=splits - 1)
-    if sum(_volume(part) for part in parts) < SPLIT_VOLUME * _volume(whole):
-        return parts
-    return [whole]
+        return Capsule(shape.link, *ends, shape.radius, "shape")
+    return enclosing(shape.link, shape.points)
 
 
 def enclosing(link: int, points: Array) -> Capsule:

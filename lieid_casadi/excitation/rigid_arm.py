@@ -56,11 +56,6 @@ class RigidArm:
         frames[:, :3, 3] += np.einsum("iab,ib->ia", frames[:, :3, :3], self.offsets)
         return frames
 
-    def tool_path(self, q: Array) -> Array:
-        """Return the positions (N, 3) of the tool in poses (N, n), base frame, m."""
-        tool = np.asarray(self.robot.tool[:, 3], dtype=float)
-        return np.array([(self.frames(pose)[-1] @ tool)[:3] for pose in q])
-
     def jacobians(self, q: Array) -> Array:
         """Return the Jacobians (N, 6, n) of the tool in poses: linear, then angular velocity."""
         place = self.offsets[-1] + np.asarray(self.robot.tool[:3, 3], dtype=float)
@@ -237,7 +232,7 @@ class _Distance:
 
 def _hull(shape: Shape) -> Any:
     """Return the convex hull of a mesh; other shapes are convex."""
-    if shape.faces is None:
+    if not hasattr(shape.geometry, "vertices"):
         return shape.geometry
     try:
         shape.geometry.buildConvexRepresentation(False)

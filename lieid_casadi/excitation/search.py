@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import pickle
-import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation.criteria import LogDet
 from lieid_casadi.excitation.design import (
     COARSE,
     DISTANCE,
     FINE,
-    ExcitationDesign,
     ExcitationProblem,
 )
 from lieid_casadi.excitation.ipopt import Ipopt, Iterate
@@ -51,10 +46,10 @@ class StartAttempt:
     """Result of one start: the best trajectory that it led to, or the reason why there is none.
 
     ``z`` (m,) are the free variables, ``rank`` compares trajectories (smaller is better); None and
-    NaN without one. ``seed`` is None for a start from a file.
+    NaN without one.
     """
 
-    seed: int | None
+    seed: int
     seconds: float
     z: Array | None = None
     rank: float = np.nan
@@ -64,18 +59,13 @@ class StartAttempt:
     interrupted: bool = False
     reason: str = ""
 
-    @property
-    def first_condition_number(self) -> float:
-        """Condition number after one iteration; NaN without a trajectory."""
-        return self.history[0].condition_number if self.history else np.nan
-
 
 class _ThresholdReached(Exception):
     """A feasible iterate meets the threshold of the search (Δ₁)."""
 
 
 class Search:
-    """The search from one start; without a seed it begins at the trajectory of the design.
+    """The search from one random start.
 
     ``best`` is the best iterate inside the limits on the coarse grid; ``kept`` are all that were
     the best when they were found, of which the last may violate a limit between the samples.
@@ -84,7 +74,7 @@ class Search:
     def __init__(
         self,
         problem: ExcitationProblem,
-        seed: int | None,
+        seed: int,
         *,
         progress: Progress = lambda stage, fraction: None,
         max_iterations: int | None = None,
@@ -113,7 +103,7 @@ class Search:
         """
         interrupted = False
         try:
-            self._run_stages(self._first_variables())
+            self._run_stages(self.problem.random_start(self.seed))
             best = self._verified()
         except KeyboardInterrupt:
             inside = (s for s in reversed(self.kept) if self.problem.within_limits(s.z))
@@ -127,12 +117,6 @@ class Search:
             self.problem.condition_number(gram), -float(np.linalg.slogdet(gram)[1]),
             tuple(self.history), interrupted,
         )  # fmt: skip
-
-    def _first_variables(self) -> Array:
-        if self.seed is None:
-            assert self.problem.design.start is not None
-            return self.problem.parametrization.nearest(self.problem.design.start)
-        return self.problem.random_start(self.seed)
 
     def _run_stages(self, z: Array) -> None:
         """Run the stages from z (m,); after the first one of ``combined`` −log det is bounded."""
@@ -245,33 +229,28 @@ def neg_log_det_per_parameter(state: Iterate) -> float:
 
 def solve_all(
     problem: ExcitationProblem,
-    seeds: Sequence[int | None],
+    seeds: Sequence[int],
     *,
     progress: Progress = lambda stage, fraction: None,
-    executor: Executor | None = None,
     max_iterations: int | None = None,
 ) -> list[StartAttempt]:
-    """Return one attempt per seed; the result does not depend on the executor.
+    """Return one attempt per seed; one without a solution has the reason.
 
     An interrupt (Ctrl-C) ends the search; complete attempts and the best iterate of the current
     one are kept. Before a feasible trajectory was found it is raised.
     """
     attempts: list[StartAttempt] = []
-    if executor is not None:
-        jobs = [
-            executor.submit(attempt_design, problem.design, seed, max_iterations) for seed in seeds
-        ]
-        for k, job in enumerate(jobs):
-            attempts.append(job.result())
-            progress(f"start {k + 1} of {len(jobs)}", (k + 1) / len(jobs))
-        return attempts
     for k, seed in enumerate(seeds):
 
         def report(stage: str, fraction: float, k: int = k) -> None:
             progress(f"start {k + 1} of {len(seeds)}: {stage}", (k + fraction) / len(seeds))
 
+        began = time.monotonic()
         try:
-            attempts.append(attempt(problem, seed, progress=report, max_iterations=max_iterations))
+            search = Search(problem, seed, progress=report, max_iterations=max_iterations)
+            attempts.append(search.solve())
+        except NoSolution as failure:
+            attempts.append(StartAttempt(seed, time.monotonic() - began, reason=str(failure)))
         except KeyboardInterrupt:
             if all(a.z is None for a in attempts):
                 raise
@@ -279,37 +258,3 @@ def solve_all(
         if attempts[-1].interrupted:
             break
     return attempts
-
-
-def attempt(
-    problem: ExcitationProblem,
-    seed: int | None,
-    *,
-    progress: Progress = lambda stage, fraction: None,
-    max_iterations: int | None = None,
-) -> StartAttempt:
-    """Solve from one start; a start without a solution does not raise."""
-    began = time.monotonic()
-    try:
-        return Search(problem, seed, progress=progress, max_iterations=max_iterations).solve()
-    except NoSolution as failure:
-        return StartAttempt(seed, time.monotonic() - began, reason=str(failure))
-
-
-@blas_on_one_thread
-def attempt_design(
-    design: ExcitationDesign, seed: int | None, max_iterations: int | None
-) -> StartAttempt:
-    """Solve from one start on an executor; compiled code comes from the cache there."""
-    return attempt(_problem(design), seed, max_iterations=max_iterations)
-
-
-_last = threading.local()  # the last problem of each thread; threads share none
-
-
-def _problem(design: ExcitationDesign) -> ExcitationProblem:
-    key = pickle.dumps(design)
-    if getattr(_last, "key", None) != key:
-        _last.key, _last.problem = key, ExcitationProblem(design)
-    problem: ExcitationProblem = _last.problem
-    return problem

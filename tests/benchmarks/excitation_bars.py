@@ -17,7 +17,7 @@ from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation import CartesianSpeed, SelfCollision, Torque, capsules_of, floor
 from lieid_casadi.excitation.design import FINE, ExcitationProblem, make_design
 from lieid_casadi.excitation.search import Search
-from lieid_casadi.excitation.trajectory import make
+from lieid_casadi.excitation.trajectory import Fourier
 
 UR10E = Path(__file__).parents[3] / "shared" / "recordings" / "ur10e" / "ur10e.urdf"
 SPEED = 1.0  # m/s
@@ -27,7 +27,7 @@ LEVEL = 12.75
 def panda_problem():
     """43 inertial columns, 5 harmonics at 0.05 Hz, 5 rad/s², 100 samples."""
     design = make_design(
-        lieid.Model(lieid.robots.panda()), basis=make(), criterion="condition", limits=(),
+        lieid.Model(lieid.robots.panda()), basis=Fourier(), criterion="condition", limits=(),
         acceleration=5.0, margin=1.0,
     )  # fmt: skip
     return ExcitationProblem(design)
@@ -83,7 +83,7 @@ def limits_problem():
     robot = lieid.robots.panda()
     links = capsules_of(robot)
     design = make_design(
-        lieid.Model(robot), basis=make(), criterion="condition", acceleration=5.0, margin=1.0,
+        lieid.Model(robot), basis=Fourier(), criterion="condition", acceleration=5.0, margin=1.0,
         limits=(
             Torque(), CartesianSpeed(SPEED), floor(capsules=links), SelfCollision(0.02, links),
         ),
@@ -117,7 +117,7 @@ def ur10e_problem(duration=20.0):
     robot = lieid.Robot.from_urdf(UR10E)
     design = make_design(
         lieid.Model(robot, effects=["coulomb", "viscous", "offset"]),
-        basis=make(duration=duration), criterion="condition", acceleration=5.0, margin=1.0,
+        basis=Fourier(duration=duration), criterion="condition", acceleration=5.0, margin=1.0,
         limits=(Torque(), SelfCollision(0.02, capsules_of(robot))),
     )  # fmt: skip
     return ExcitationProblem(design)

@@ -17,7 +17,7 @@ import numpy as np
 import lieid_casadi as lieid
 from lieid_casadi.excitation.design import ExcitationProblem, make_design
 from lieid_casadi.excitation.search import Search
-from lieid_casadi.excitation.trajectory import make
+from lieid_casadi.excitation.trajectory import Fourier
 
 STARTS = 5
 ITERATIONS = 200
@@ -25,7 +25,7 @@ ITERATIONS = 200
 
 def make_problem():
     design = make_design(
-        lieid.Model(lieid.robots.panda()), basis=make(), criterion="logdet", limits=(),
+        lieid.Model(lieid.robots.panda()), basis=Fourier(), criterion="logdet", limits=(),
         acceleration=5.0, margin=1.0,
     )  # fmt: skip
     return ExcitationProblem(design)
@@ -33,7 +33,7 @@ def make_problem():
 
 def graph(problem):
     """Return the NLP {x, f, g} and its bounds."""
-    model, functions = problem.design.model, problem.samples.functions  # (n, 4, N, d)
+    model, functions = problem.design.model, problem.samples.functions  # (n, 3, N, d)
     n, _, count, d = functions.shape
     z = ca.MX.sym("z", n * d)
     own = ca.vertsplit(z, d)

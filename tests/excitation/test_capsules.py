@@ -18,7 +18,6 @@ from lieid_casadi.excitation import (
 from lieid_casadi.excitation.clearance import covering_balls
 from lieid_casadi.excitation.links import (
     collision_shapes,
-    enclosing_all,
     segment_distance_to_points,
     skeleton,
 )
@@ -35,21 +34,6 @@ def test_an_enclosing_capsule_contains_all_points(seed, count):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(count, 3)) * rng.uniform(0.01, 1.0, 3)
     assert outside(enclosing(3, points), points) <= 1e-9
-
-
-def test_an_angle_is_cut_into_two_capsules_that_contain_every_triangle():
-    rng = np.random.default_rng(1)
-    points, faces = [], []
-    for direction in (np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])):
-        for step in np.linspace(0.0, 0.8, 40):
-            corner = len(points)
-            points += list(step * direction + 0.05 * rng.normal(size=(3, 3)))
-            faces.append([corner, corner + 1, corner + 2])
-    points, faces = np.array(points), np.array(faces)
-    parts = enclosing_all(2, points, faces)
-    assert len(parts) > 1
-    for face in faces:
-        assert min(outside(part, points[face]) for part in parts) <= 1e-9
 
 
 def test_covering_balls_cover():

@@ -22,7 +22,7 @@ from lieid_casadi.excitation.criteria import (
     design_model,
 )
 from lieid_casadi.excitation.design import ExcitationProblem, make_design
-from lieid_casadi.excitation.trajectory import MotionSamples, make
+from lieid_casadi.excitation.trajectory import Fourier, MotionSamples
 
 PANDA = lieid.robots.panda()
 ROBOT = lieid.robots.two_link()
@@ -70,7 +70,7 @@ def test_the_smooth_condition_number_is_a_close_upper_bound():
 )
 def test_gradient_of_an_objective_in_the_free_variables(robot, effects):
     model = lieid.Model(lieid.Robot.load(robot), effects=effects)
-    design = make_design(model, basis=make(harmonics=3), samples=40, limits=())
+    design = make_design(model, basis=Fourier(harmonics=3), samples=40, limits=())
     problem = ExcitationProblem(design)
     z = problem.random_start(3)
     direction = np.random.default_rng(4).normal(size=z.size)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -56,18 +55,10 @@ def test_csv_matches_the_coefficients_in_json(folder):
         np.testing.assert_allclose(rows[:, 1 + j], q, atol=1e-9)
 
 
-def test_the_ros_message(folder):
-    message = yaml.safe_load((folder / "joint_trajectory.yaml").read_text())
-    assert message["joint_names"] == ["shoulder", "elbow"]
-    last = message["points"][-1]
-    assert last["time_from_start"] == {"sec": 6, "nanosec": 0}
-    assert all(isinstance(x, float) for x in last["positions"] + last["accelerations"])
-
-
 def test_the_summary(folder):
     text = (folder / "summary.txt").read_text()
     assert "Condition number" in text
-    assert "change the torques least" in text
+    assert "Not checked: " in text
 
 
 def test_plot_leaves_global_state_alone():
@@ -79,7 +70,7 @@ def test_plot_leaves_global_state_alone():
     figure = found.plot()
     figure.savefig(io.BytesIO(), format="png")  # "$" in a name is no formula
     assert "a$x^{$" in figure.get_suptitle()
-    assert len(figure.axes) == 3
+    assert len(figure.axes) == 2
     assert dict(mpl.rcParams) == before
 
 

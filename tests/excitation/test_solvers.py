@@ -8,7 +8,7 @@ from lieid_casadi.excitation import Torque, excite
 from lieid_casadi.excitation.design import ExcitationProblem, make_design
 from lieid_casadi.excitation.ipopt import Ipopt, ObjectiveValue, run_ipopt
 from lieid_casadi.excitation.search import Search
-from lieid_casadi.excitation.trajectory import make
+from lieid_casadi.excitation.trajectory import Fourier
 
 PANDA = lieid.robots.panda()
 
@@ -35,7 +35,7 @@ def test_the_solver_reads_no_clock(problem, monkeypatch):
 def problem():
     robot = lieid.robots.two_link()
     design = make_design(
-        lieid.Model(robot), basis=make(duration=6.0), criterion="condition", limits=()
+        lieid.Model(robot), basis=Fourier(duration=6.0), criterion="condition", limits=()
     )
     return ExcitationProblem(design)
 

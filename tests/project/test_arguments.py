@@ -85,18 +85,16 @@ def test_export_writes_each_format(tmp_path):
 def test_methods_and_criteria_have_literal_types():
     """A type checker refuses other names, and the command line has the same ones."""
     from lieid_casadi.cli.main import build_parser
-    from lieid_casadi.excitation import criteria, trajectory
+    from lieid_casadi.excitation import criteria
     from lieid_casadi.identification.identify import Method
 
     commands = next(a for a in build_parser()._actions if a.dest == "command").choices
     choices = {(c, a.dest): a.choices for c, p in commands.items() for a in p._actions}
     assert set(get_args(Method)) == set(choices["identify", "method"])
     assert get_args(criteria.CriterionName) == criteria.NAMES
-    assert list(get_args(trajectory.BasisName)) == choices["excite", "basis"]
     for function, name, annotation in (
         (lieid.identify, "method", "Method"),
         (lieid.diagnose, "method", "Method"),
         (lieid.excite, "criterion", "CriterionName | CriterionExpression | Criterion"),
-        (lieid.excite, "basis", "BasisName | Basis"),
     ):
         assert signature(function).parameters[name].annotation == annotation

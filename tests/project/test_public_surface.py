@@ -6,15 +6,15 @@ import sys
 import lieid_casadi as lieid
 
 PUBLIC = {
-    "BSpline", "Basis", "CartesianSpeed", "Coefficient", "Comparison", "Compiled",
+    "CartesianSpeed", "Coefficient", "Comparison", "Compiled",
     "Diagnosis", "Discrimination", "Drive", "DriveGains", "Effect", "Excitation", "Experiment",
-    "Export", "ExpressionLimit", "Fit", "Fourier", "FrictionFit", "Joint", "LieidError",
-    "LieidWarning", "Limits", "Model", "ModifiedFourier", "Obstacle", "PayloadEstimate",
+    "Export", "Fit", "FrictionFit", "Joint", "LieidError",
+    "LieidWarning", "Limits", "Model", "Obstacle", "PayloadEstimate",
     "PlannedMotion", "PremiseCheck", "Processing", "Recording", "Robot", "SelfCollision", "Shape",
-    "Signals", "Simulation", "SymbolicDynamics", "Symbols", "Torque", "Wall",
+    "Signals", "Simulation", "SymbolicDynamics", "Torque", "Wall",
     "__version__", "check", "compare", "compile", "default_limits", "diagnose",
     "discriminate", "drive_gains", "effect", "excite", "experiment", "export", "extend", "floor",
-    "friction", "identify", "identify_payload", "jerk_limit", "predict",
+    "friction", "identify", "identify_payload", "predict",
     "register", "robots", "servo_drive", "simulate", "symbolic", "workspace_box",
 }  # fmt: skip
 
