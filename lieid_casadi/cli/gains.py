@@ -22,8 +22,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --unloaded REC …: input required  recordings of currents without the payload
     --loaded REC …: input required  recordings of currents with the payload
     --mass KG: above required  mass of the payload
-    --com X Y Z: number  the payload's centre of mass in the tool frame, m, if it was
-        measured
     --yaml FILE: output  write the robot with its torque constants
     --plot FILE: picture  draw the gains
     @EFFECTS @EFFECTS_FILE @READING @PROCESSING @JSON @THREADS
@@ -38,7 +36,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
             inputs.currents_of(args.unloaded, args, robot),
             inputs.currents_of(args.loaded, args, robot),
             mass=args.mass,
-            com=args.com,
             effects=args.effects,
             processing=inputs.processing_of(args),
             progress=report,

@@ -6,9 +6,7 @@ import argparse
 
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
-from lieid_casadi.cli.option_types import number
 from lieid_casadi.cli.options import command
-from lieid_casadi.errors import UsageError
 
 
 @command("payload", "mass, centre of mass and inertia of the payload")
@@ -21,8 +19,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         with temperature
     --cutoff HZ: number  cut-off frequency of the low-pass filter; default: that of the fit
     --plot FILE: picture  draw the errors before and after
-    --torque-constants-std PERCENT[,…]  standard deviation of the torque constants, %%: one
-        number for an error that all joints share, or one per joint; default: 0
     @RECORDING @DESPITE_CHECK @JSON @HTML
     """
     from lieid_casadi.payload import identify_payload
@@ -42,7 +38,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
             recordings,
             cutoff=args.cutoff,
             refit_friction=args.refit_friction,
-            torque_constant_std=_percent(args.torque_constants_std),
             progress=report,
         )
     unknown = not_identified(payload)
@@ -59,11 +54,3 @@ def run(args: argparse.Namespace) -> output.Outcome:
         html=lambda: payload_report(fit, payload),
         plot=payload.plot,
     )
-
-
-def _percent(text: str | None) -> list[float]:
-    """Return numbers in percent as fractions."""
-    try:
-        return [0.01 * number(part) for part in (text or "0").split(",")]
-    except argparse.ArgumentTypeError as error:
-        raise UsageError(f"--torque-constants-std {text}: {error}") from None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
@@ -22,10 +22,10 @@ from lieid_casadi.errors import (
     unique_warnings,
     warning_list,
 )
-from lieid_casadi.gains.regression import BODY, GainProblem, GainSolution
+from lieid_casadi.gains.regression import GainSolution, solve_gains
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import Source, check_joints
-from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.design_matrix import Design, varying_columns
 from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
@@ -69,11 +69,9 @@ class DriveGains:
     mass : float
         Mass of the payload as given, kg.
     com, com_std : (3,)
-        Centre of mass of the payload in the tool frame, m; standard deviation 0 where given.
-    rms, rms_current : (n,)
-        RMS residual of joints in motion, N·m and A.
-    relative_rms : (n,)
-        RMS residual divided by the standard deviation of the torque.
+        Centre of mass of the payload in the tool frame, m.
+    rms : (n,)
+        RMS residual of joints in motion, N·m.
     cutoff : float
         Cut-off frequency of the low-pass filter, Hz.
     unloaded, loaded : tuple of Source
@@ -93,18 +91,11 @@ class DriveGains:
     com: Array
     com_std: Array
     rms: Array
-    rms_current: Array
-    relative_rms: Array
     cutoff: float
     unloaded: tuple[Source, ...]
     loaded: tuple[Source, ...]
     warnings: tuple[LieidWarning, ...]
     per: str = "A"
-
-    @property
-    def interval(self) -> tuple[Array, Array]:
-        """Bounds (n,) of the 95 % confidence interval of each gain."""
-        return self.gains - NORMAL * self.std, self.gains + NORMAL * self.std
 
     @property
     def option(self) -> str | None:
@@ -140,39 +131,38 @@ class DriveGains:
     def table(self) -> list[dict[str, Any]]:
         """Return one row per joint (from 1): gain, std, interval, unit, identified."""
         weak = {part.joint for part in self.not_identified}
-        low, high = self.interval
         return [
             {
                 "joint": j + 1,
                 "name": joint.name,
-                "gain": number_or_none(self.gains[j]),
-                "std": number_or_none(self.std[j]),
-                "interval": None if np.isnan(self.gains[j]) else [float(low[j]), float(high[j])],
+                "gain": number_or_none(gain),
+                "std": number_or_none(std),
+                "interval": (
+                    None if np.isnan(gain) else [gain - NORMAL * std, gain + NORMAL * std]
+                ),
                 "unit": f"{'N·m' if joint.revolute else 'N'}/{self.per}",
                 "identified": j not in weak,
             }
-            for j, joint in enumerate(self.robot.joints)
+            for j, (joint, gain, std) in enumerate(
+                zip(self.robot.joints, self.gains.tolist(), self.std.tolist(), strict=True)
+            )
         ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid gains --json`` writes."""
+        rows = self.table()
+        arrays = {name: getattr(self, name) for name in ("gains", "std", "com", "com_std", "rms")}
         return {
             "robot": self.robot.name,
             "effects": list(self.effects),
-            "gains": numbers_or_none(self.gains),
-            "std": numbers_or_none(self.std),
-            "interval_95": [row["interval"] for row in self.table()],
-            "units": [row["unit"] for row in self.table()],
+            **{name: numbers_or_none(values) for name, values in arrays.items()},
+            "interval_95": [row["interval"] for row in rows],
+            "units": [row["unit"] for row in rows],
             "option": self.option,
             "not_identified": [
                 {"joint": part.joint + 1, "reason": part.reason} for part in self.not_identified
             ],
             "mass": self.mass,
-            "com": numbers_or_none(self.com),
-            "com_std": numbers_or_none(self.com_std),
-            "rms": numbers_or_none(self.rms),
-            "rms_current": numbers_or_none(self.rms_current),
-            "relative_rms": numbers_or_none(self.relative_rms),
             "cutoff": self.cutoff,
             "unloaded": [r.to_dict() for r in self.unloaded],
             "loaded": [r.to_dict() for r in self.loaded],
@@ -203,9 +193,6 @@ class DriveGains:
         return f"<DriveGains of {self.robot.name}: {', '.join(f'{k:.4g}' for k in self.gains)}>"
 
 
-COLUMNS = ("joint", "gain", "std", "std %", "95 % from", "to", "unit")
-
-
 def gain_table(gains: DriveGains) -> Table:
     """Return the gain of each joint; ``*`` marks what is not identified."""
     rows = [
@@ -216,38 +203,18 @@ def gain_table(gains: DriveGains) -> Table:
             None if row["gain"] is None else 100.0 * row["std"] / abs(row["gain"]),
             *(row["interval"] or (None, None)),
             row["unit"],
-            float(gains.rms_current[j]),
             float(gains.rms[j]),
         )
         for j, row in enumerate(gains.table())
     ]
     return make_table(
         f"Drive gains from a payload of {gains.mass:g} kg (low-pass {gains.cutoff:.3g} Hz)",
-        (*COLUMNS, f"RMS error, {gains.per}", "N·m"),
+        ("joint", "gain", "std", "std %", "95 % from", "to", "unit", "RMS error, N·m"),
         rows,
     )
 
 
-LARGEST_MASS, LARGEST_DISTANCE = 1e5, 100.0  # kg, m: larger payloads are errors of unit
-
-
-def known_payload(mass: float, com: ArrayLike | None) -> Array:
-    """Return the payload's parameters (10,), NaN where unknown."""
-    if not 0.0 < mass <= LARGEST_MASS:
-        raise IdentificationError(
-            f"mass of the payload is {mass:g} kg, expected more than 0 and at most "
-            f"{LARGEST_MASS:g} kg"
-        )
-    known = np.full(BODY, np.nan)
-    known[0] = mass
-    if com is not None:
-        centre = np.asarray(com, dtype=float)
-        if centre.shape != (3,) or not np.all(np.abs(centre) <= LARGEST_DISTANCE):
-            raise IdentificationError(
-                f"com is {com}, expected three numbers of at most {LARGEST_DISTANCE:g} m"
-            )
-        known[1:4] = mass * centre
-    return known
+LARGEST_MASS = 1e5  # kg: larger payloads are errors of unit
 
 
 def with_drive_signal(
@@ -266,10 +233,12 @@ def with_drive_signal(
 
 def check_input(model: Model, empty: Sequence[Recording], full: Sequence[Recording]) -> None:
     """Raise if effects or recordings are not suitable."""
-    if model.shapes:
+    varying = np.flatnonzero(varying_columns(model))
+    if len(varying):
         raise EffectError(
-            f"{model.shapes[0].label}: effects with shape parameters cannot be fitted with drive "
-            "gains; expected linear ones such as coulomb, viscous, offset, load_friction"
+            f"{model.columns[varying[0]].label}: effects with shape parameters or of the load "
+            "cannot be fitted with drive gains; expected coulomb, viscous, offset and others "
+            "that follow from the motion"
         )
     for part, recordings in (("unloaded", empty), ("loaded", full)):
         if not recordings:
@@ -316,7 +285,6 @@ def drive_gains(
     loaded: Recording | Sequence[Recording],
     *,
     mass: float,
-    com: ArrayLike | None = None,
     effects: str | Iterable[str | Effect] = "coulomb,viscous,offset",
     processing: Processing | None = None,
     progress: Progress | None = None,
@@ -338,8 +306,6 @@ def drive_gains(
         stiffnesses of the position controllers, N·m/rad.
     mass : float
         Mass of the payload, kg.
-    com : (3,), optional
-        Centre of mass of the payload in the tool frame, m; identified if not given.
     effects : str or sequence of str or Effect
         Friction effects of the joints, without shape parameters.
     processing : Processing, optional
@@ -357,41 +323,40 @@ def drive_gains(
         The mass is not positive; a recording is given as unloaded and as loaded; the payload has
         no visible effect; or the recordings are of another arm.
     ModelError, RecordingError, EffectError
-        Currents are missing, the number of joints differs, or an effect has shape parameters.
+        Currents are missing, the number of joints differs, or an effect has shape parameters or
+        depends on the load.
     """
     empty, full, per = with_drive_signal(listed(unloaded), listed(loaded))
-    known = known_payload(mass, com)
+    if not 0.0 < mass <= LARGEST_MASS:
+        raise IdentificationError(
+            f"mass of the payload is {mass:g} kg, expected more than 0 and at most "
+            f"{LARGEST_MASS:g} kg"
+        )
     model = Model(robot, effects)
     report = progress or (lambda stage, fraction: None)
     check_input(model, empty, full)
-    report("check", 0.0)
     # currents in A as torques
     currents = [r.with_torque_constants(np.ones(r.n)) for r in (*empty, *full)]
     found: list[LieidWarning] = [w for r in (*empty, *full) for w in check(r, robot)]
     report("process", 0.2)
     options = process(currents, processing)[0].options
-    compiled = compile(model)
-    before, after = (
-        process(part, options) for part in (currents[: len(empty)], currents[len(empty) :])
-    )
-    require_one_load(before)
-    require_one_load(after)
-    segments, _ = center_temperature([*before, *after])
+    parts = [process(part, options) for part in (currents[: len(empty)], currents[len(empty) :])]
+    for part in parts:
+        require_one_load(part)
+    segments, _ = center_temperature([*parts[0], *parts[1]])
     found += [w for segment in segments for w in segment.warnings]
     report("regress", 0.4)
-    split = len(before)
-    designs = (Design(compiled, segments[:split]), Design(compiled, segments[split:]))
-    solution = GainProblem(*designs, known).solve()
+    compiled, split = compile(model), len(parts[0])
+    solution = solve_gains(
+        Design(compiled, segments[:split]), Design(compiled, segments[split:]), mass
+    )
     if not any(len(e) for e in solution.residuals):
         raise IdentificationError("no joint moves; expected a motion that excites all joints")
     if not solution.converged:
         found.append(
-            ConvergenceWarning(
-                "gains and load did not converge; use effects without load_friction, or longer "
-                "recordings"
-            )
+            ConvergenceWarning("gains and noise levels did not converge; use longer recordings")
         )
-    result = replace(_result(model, solution, mass, known, options, (empty, full)), per=per)
+    result = replace(_result(model, solution, options, (empty, full)), per=per)
     report("done", 1.0)
     return replace(result, warnings=unique_warnings(found))
 
@@ -399,40 +364,40 @@ def drive_gains(
 def _result(
     model: Model,
     solution: GainSolution,
-    mass: float,
-    known: Array,
     options: Processing,
     recordings: tuple[Sequence[Recording], Sequence[Recording]],
 ) -> DriveGains:
-    n = model.n
-    gains = solution.gains
-    std = np.sqrt(np.diag(solution.covariance)[:n])
+    n, mass = model.n, float(solution.body[0])
+    gains, std = solution.gains, np.sqrt(np.diag(solution.covariance))
     rms = np.array([np.sqrt(np.mean(e**2)) if len(e) else np.nan for e in solution.residuals])
-    spread = np.abs(gains) * np.array([np.std(i) if len(i) else np.nan for i in solution.currents])
-    relative = rms / np.where(spread > 0.0, spread, np.nan)
     moves = np.array([len(i) > 0 for i in solution.currents])
-    identifiable = _identifiable(solution, n) & moves
-    _require_arm(model, relative, recordings)
-    _require_load(gains, std, identifiable, mass)
-    com, com_std = _centre(model, solution, mass, known)
+    known = ~_involved(solution.hidden)
+    identifiable = known[:n] & moves
+    _require_arm(model, solution, rms, recordings)
+    _require_load(gains, std[:n], identifiable, mass)
+    centre = slice(n + model.base.count, n + model.base.count + 3)
     return DriveGains(
         robot=model.robot,
         effects=tuple(model.effects),
         gains=np.where(identifiable, gains, np.nan),
-        std=np.where(identifiable, std, np.nan),
+        std=np.where(identifiable, std[:n], np.nan),
         covariance=solution.covariance[:n, :n],
-        not_identified=_not_identified(gains, std, moves, identifiable),
-        mass=float(mass),
-        com=com,
-        com_std=com_std,
+        not_identified=_not_identified(gains, std[:n], moves, identifiable),
+        mass=mass,
+        com=np.where(known[centre], solution.body[1:4] / mass, np.nan),
+        com_std=np.where(known[centre], std[centre] / mass, np.nan),
         rms=rms,
-        rms_current=rms / np.where(moves, np.abs(gains), np.nan),
-        relative_rms=relative,
         cutoff=float(options.cutoff or np.nan),
         unloaded=tuple(Source.of(r) for r in recordings[0]),
         loaded=tuple(Source.of(r) for r in recordings[1]),
         warnings=(),
     )
+
+
+def _involved(hidden: Array) -> NDArray[np.bool_]:
+    """Mark the parameters that some direction without information involves."""
+    largest = np.abs(hidden).max(axis=1, initial=0.0, keepdims=True)
+    return np.asarray(np.any(np.abs(hidden) > ZERO * largest, axis=0))
 
 
 def _not_identified(
@@ -442,42 +407,18 @@ def _not_identified(
     parts = []
     for j in range(len(gains)):
         if not moves[j]:
-            parts.append(GainNotIdentified(j, "the joint never moves"))
+            reason = "the joint never moves"
         elif not identifiable[j]:
-            parts.append(GainNotIdentified(j, "its torque is not related to that of the payload"))
+            reason = "its torque is not related to that of the payload"
         elif not std[j] <= WEAK * abs(gains[j]):
-            parts.append(
-                GainNotIdentified(
-                    j,
-                    f"standard deviation {100 * std[j] / abs(gains[j]):.0f} % of the gain: the "
-                    "payload loads this joint too little in this motion",
-                )
+            reason = (
+                f"standard deviation {100 * std[j] / abs(gains[j]):.0f} % of the gain: the "
+                "payload loads this joint too little in this motion"
             )
+        else:
+            continue
+        parts.append(GainNotIdentified(j, reason))
     return tuple(parts)
-
-
-def _identifiable(solution: GainSolution, n: int) -> NDArray[np.bool_]:
-    """Mark the gains (n,) that no hidden direction involves."""
-    identifiable = np.ones(n, dtype=bool)
-    scale = np.maximum(np.abs(solution.gains), 1e-300)
-    for direction in solution.hidden:
-        part = np.abs(direction[:n]) / scale
-        largest = float(np.max(np.abs(direction), initial=0.0))
-        identifiable &= part * scale <= ZERO * largest
-    return identifiable
-
-
-def _centre(model: Model, solution: GainSolution, mass: float, known: Array) -> tuple[Array, Array]:
-    """Return centre of mass and standard deviations (3,), NaN where not identifiable."""
-    com = solution.body[1:4] / mass
-    if not np.isnan(known[1]):
-        return com, np.zeros(3)
-    first = model.n + model.base.count
-    std = np.sqrt(np.diag(solution.covariance)[first : first + 3]) / mass
-    lost = np.zeros(3, dtype=bool)
-    for direction in solution.hidden:
-        lost |= np.abs(direction[first : first + 3]) > ZERO * np.max(np.abs(direction))
-    return np.where(lost, np.nan, com), np.where(lost, np.nan, std)
 
 
 def _require_load(gains: Array, std: Array, identifiable: NDArray[np.bool_], mass: float) -> None:
@@ -498,12 +439,17 @@ def _require_load(gains: Array, std: Array, identifiable: NDArray[np.bool_], mas
 
 
 def _require_arm(
-    model: Model, relative: Array, recordings: tuple[Sequence[Recording], Sequence[Recording]]
+    model: Model,
+    solution: GainSolution,
+    rms: Array,
+    recordings: tuple[Sequence[Recording], Sequence[Recording]],
 ) -> None:
     """Raise if the model explains too little of the currents."""
-    bad = np.nan_to_num(relative) > ANOTHER_ARM
+    spread = np.array([np.std(i) if len(i) else np.nan for i in solution.currents])
+    relative = np.nan_to_num(rms / np.abs(solution.gains * spread), posinf=0.0)
+    bad = relative > ANOTHER_ARM
     if bad.sum() > len(bad) // 2:
-        j = int(np.argmax(np.nan_to_num(relative)))
+        j = int(np.argmax(relative))
         names = ", ".join(r.name or "recording" for part in recordings for r in part)
         raise IdentificationError(
             f"{names}: the arm {model.robot.name!r} with one payload does not explain the "

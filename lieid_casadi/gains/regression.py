@@ -17,11 +17,7 @@ from scipy.optimize import least_squares
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import IdentificationError
-from lieid_casadi.identification.regression.design_matrix import (
-    Design,
-    varying_columns,
-)
-from lieid_casadi.identification.regression.fixed_point import nominal_parameters
+from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
     JointRows,
@@ -34,46 +30,128 @@ from lieid_casadi.identification.regression.least_squares import (
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.robot.inertia import parameter_transport
 
+BODY = 10  # parameters of a payload, the first of which is the mass
 RANK = 1e-9  # relative tolerance on singular values of scaled columns
 INDEPENDENT = 1e-6  # least part of the known column that the other columns may not explain
 MOST_EVALUATIONS = 50  # of the nonlinear least-squares search
+MOST_ITERATIONS = 20
+CONVERGED = 1e-5  # relative change of the gains
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
-    """A solution [gains; others; 1] of the stacked rows."""
+class GainSolution:
+    """Gains and payload, with their covariance."""
 
-    gains: Array  # (n,) N·m/A; zero for a zero column, that is for a joint that never moves
-    #: (q − 1,) Coefficients of the exact columns without the last column, whose coefficient is 1
-    others: Array
+    gains: Array  # (n,) N·m/A; zero for a joint that never moves
+    body: Array  # (10,) Payload in the tool frame: m, m·c, inertia about the tool frame's origin
+    covariance: Array  # (n + p + 9,) square, of gains, base parameters and payload without mass
+    hidden: Array  # (h, n + p + 9) Directions that cannot be identified from the data
+    residuals: tuple[Array, ...]  # one array per joint, N·m
+    currents: tuple[Array, ...]  # one array per joint, filtered, A
+    converged: bool
 
 
-def least_squares_start(factor: Factor, n: int) -> Unknowns | None:
-    """Return the linear least-squares solution, or None if the other columns explain the last one.
+def solve_gains(unloaded: Design, loaded: Design, mass: float) -> GainSolution:
+    """Alternate between gains and noise levels of the currents until the gains converge.
 
-    ``factor``: triangular factor of the rows: n noisy columns, then q exact columns, the last of
-    which has coefficient 1.
+    ``unloaded``, ``loaded``: design matrices of the same model; their torques are currents in A;
+    ``mass``: of the payload, kg.
+    """
+    n = unloaded.model.n
+    rows = _rows(unloaded, loaded, mass)
+    # triangular factors without the right-hand side, which is zero
+    factors = [Factor(f.r[:, :-1], f.rows) for f in joint_factors(rows)]
+    size = np.array([_size(j.matrix[:, k]) for k, j in enumerate(rows.joints)])
+    found, converged = _linear_start(combine(factors, 1.0 / size), n), False
+    for _ in range(MOST_ITERATIONS):
+        noise = np.array([_size(e) for e in _residuals(rows, found)]) / _nonzero(found[:n])
+        before, found = found[:n], _most_likely(factors, found, noise)
+        change = np.abs(found[:n] - before) / np.maximum(np.abs(found[:n]), 1e-300)
+        converged = bool(change.max() <= CONVERGED)
+        if converged:
+            break
+    residuals = _residuals(rows, found)
+    # the covariance is that at the noise-free currents that the solution predicts
+    exact = Rows(
+        [_clean(joint, j, e, found[j]) for j, (joint, e) in enumerate(
+            zip(rows.joints, residuals, strict=True)
+        )],
+        rows.count - 1, rows.segments,
+    )  # fmt: skip
+    weights = row_weights(exact, 1.0 / np.array([_size(e) for e in residuals]))
+    least = solve(combine(joint_factors(exact), [1.0 / _size(e) for e in residuals]))
+    return GainSolution(
+        gains=found[:n],
+        body=np.array([mass, *found[len(found) - BODY + 1 :]]),
+        covariance=hac_covariance(exact, weights, residuals, least.unit_covariance),
+        hidden=np.array(least.unexcited).reshape(-1, exact.count),
+        residuals=tuple(residuals),
+        currents=tuple(j.matrix[:, k] for k, j in enumerate(rows.joints)),
+        converged=converged,
+    )
+
+
+def _rows(unloaded: Design, loaded: Design, mass: float) -> Rows:
+    """Return rows of the homogeneous system in [gains; base parameters; payload; 1]."""
+    model = unloaded.model
+    n, p = model.n, model.base.count
+    combination = model.base.combination[:, BODY * (n - 1) : BODY * n]
+    to_base = combination @ parameter_transport(model.robot.tool)
+
+    def wide(j: int, joint: JointRows, with_payload: bool) -> Array:
+        matrix = np.zeros((len(joint.torque), n + p + BODY))
+        matrix[:, j] = joint.torque
+        matrix[:, n + joint.columns] = -joint.matrix
+        if with_payload:
+            own = -joint.matrix @ to_base[joint.columns]
+            matrix[:, n + p :] = np.column_stack([own[:, 1:], mass * own[:, 0]])
+        return matrix
+
+    empty, full = (d.rows(model.initial_shapes, None) for d in (unloaded, loaded))
+    first, joints = int(empty.segments[-1]), []
+    for j, (one, other) in enumerate(zip(empty.joints, full.joints, strict=True)):
+        matrix = np.vstack([wide(j, one, False), wide(j, other, True)])
+        instants = np.concatenate([one.instant, first + other.instant])
+        joints.append(JointRows(np.arange(n + p + BODY), matrix, np.zeros(len(matrix)), instants))
+    segments = np.concatenate([empty.segments, first + full.segments[1:]])
+    return Rows(joints, n + p + BODY, segments)
+
+
+def _clean(joint: JointRows, j: int, error: Array, gain: float) -> JointRows:
+    """Return the rows without the last column, with the current that the solution predicts."""
+    matrix = joint.matrix[:, :-1].copy()
+    if len(error):
+        matrix[:, j] -= error / gain
+    return JointRows(joint.columns[:-1], matrix, error, joint.instant)
+
+
+def _linear_start(factor: Factor, n: int) -> Array:
+    """Return the linear least-squares solution [gains; others] of the stacked rows.
+
+    ``factor``: of n noisy columns, then exact columns, the last of which has coefficient 1.
     """
     size = np.linalg.norm(factor.r, axis=0)
     r = factor.r / np.where(size > 0.0, size, 1.0)
-    if size[-1] == 0.0 or not size[:n].any() or _own_part(r[:, n:]) < INDEPENDENT:
-        return None
-    x = np.linalg.lstsq(r[:, :-1], -r[:, -1], rcond=RANK)[0] * size[-1]
-    x /= np.where(size[:-1] > 0.0, size[:-1], 1.0)
-    return Unknowns(x[:n], x[n:])
+    others, last = r[:, n:-1], r[:, -1]
+    own_part = last - others @ np.linalg.lstsq(others, last, rcond=RANK)[0]
+    if not size[:n].any() or np.linalg.norm(own_part) < INDEPENDENT:
+        raise IdentificationError(
+            "the effect of the payload's mass cannot be separated from the unknown parameters "
+            "of arm and payload; expected the same motions with and without the payload, slow "
+            "and fast"
+        )
+    x = np.linalg.lstsq(r[:, :-1], -last, rcond=RANK)[0] * size[-1]
+    return np.asarray(x / np.where(size[:-1] > 0.0, size[:-1], 1.0))
 
 
-def most_likely(factors: Sequence[Factor], start: Unknowns, noise: Array) -> Unknowns:
-    """Return gains and others that minimize Σ_j ‖i_j − torque_j/k_j‖² / σ_j².
+def _most_likely(factors: Sequence[Factor], start: Array, noise: Array) -> Array:
+    """Return [gains; others] that minimize Σ_j ‖i_j − torque_j/k_j‖² / σ_j².
 
-    The unknowns are 1/k_j, so that a gain with a large uncertainty does not disturb the others.
-
-    ``factors``: triangular factors of each joint's rows, with the columns of `least_squares_start`;
-    ``start``: a point near the minimum; ``noise`` (n,): standard deviations σ_j of the currents'
-    noise, A.
+    The unknowns are 1/k_j, so that a gain with a large uncertainty does not disturb the others;
+    ``noise`` (n,): standard deviations σ_j of the currents' noise, A.
     """
     n = len(noise)
-    moving = [int(j) for j in np.flatnonzero(start.gains)]
+    moving = np.flatnonzero(start[:n]).tolist()
     current = [factors[j].r[:, j] / noise[j] for j in moving]
     torque = [-factors[j].r[:, n:] / noise[j] for j in moving]
 
@@ -92,176 +170,22 @@ def most_likely(factors: Sequence[Factor], start: Unknowns, noise: Array) -> Unk
             blocks.append(block)
         return np.vstack(blocks)
 
-    first = np.concatenate([1.0 / start.gains[moving], start.others])
+    first = np.concatenate([1.0 / start[moving], start[n:]])
     x = least_squares(
-        error,
-        first,
-        slopes,
-        x_scale="jac",
-        max_nfev=MOST_EVALUATIONS,
-        ftol=1e-12,
-        xtol=1e-12,
-        gtol=1e-12,
-    ).x
-    gains = np.zeros(n)
-    gains[moving] = 1.0 / x[: len(moving)]
-    return Unknowns(gains, x[len(moving) :])
+        error, first, slopes, x_scale="jac", max_nfev=MOST_EVALUATIONS,
+        ftol=1e-12, xtol=1e-12, gtol=1e-12,
+    ).x  # fmt: skip
+    found = np.concatenate([np.zeros(n), x[len(moving) :]])
+    found[moving] = 1.0 / x[: len(moving)]
+    return found
 
 
-def _own_part(exact: Array) -> float:
-    """Return the norm of the last column's part that the other columns do not explain."""
-    others, last = exact[:, :-1], exact[:, -1]
-    fitted = others @ np.linalg.lstsq(others, last, rcond=RANK)[0]
-    return float(np.linalg.norm(last - fitted))
+def _residuals(rows: Rows, found: Array) -> list[Array]:
+    return [joint.matrix @ np.append(found, 1.0) for joint in rows.joints]
 
 
-BODY = 10
-MOST_ITERATIONS = 20
-CONVERGED = 1e-5  # relative change of the gains
-
-
-@dataclass(frozen=True, eq=False)
-class GainSolution:
-    """Gains, base parameters and payload, with their common covariance."""
-
-    gains: Array  # (n,) N·m/A
-    values: Array  # (p,) Base parameters, N·m
-    body: Array  # (10,) Payload in the tool frame: m, m·c, inertia about the tool frame's origin
-    #: (n + p + u, n + p + u) Covariance of gains, base parameters and the u unknown parameters of
-    #: the payload
-    covariance: Array
-    hidden: Array  # (h, n + p + u) Directions that cannot be identified from the data
-    residuals: tuple[Array, ...]  # one array per joint, N·m
-    currents: tuple[Array, ...]  # one array per joint, filtered, A
-    converged: bool
-
-
-class GainProblem:
-    """Stacked equations of an arm's runs without and with a payload.
-
-    ``unloaded``, ``loaded``: design matrices of the same model; their torques are currents in A;
-    ``known`` (10,): parameters of the payload in the tool frame, NaN where unknown.
-    """
-
-    def __init__(self, unloaded: Design, loaded: Design, known: Array) -> None:
-        self.unloaded, self.loaded = unloaded, loaded
-        self.model = unloaded.model
-        n, base = self.model.n, self.model.base
-        self.transport = parameter_transport(self.model.robot.tool)
-        to_base = base.combination[:, BODY * (n - 1) : BODY * n] @ self.transport
-        self.unknown = np.isnan(known)
-        self.known = np.where(self.unknown, 0.0, known)
-        self.to_unknown = to_base[:, self.unknown]
-        self.by_mass = to_base @ self.known
-        self.moving_load = bool(varying_columns(self.model).any())
-
-    @property
-    def width(self) -> int:
-        """Number of unknowns."""
-        return self.model.n + self.model.base.count + int(self.unknown.sum())
-
-    def solve(self) -> GainSolution:
-        """Alternate between gains, noise levels and load until the gains converge."""
-        parameters, body = None, np.zeros(BODY)
-        rows = self._rows(parameters, body)
-        size = np.array([_size(j.matrix[:, k]) for k, j in enumerate(rows.joints)])
-        found = least_squares_start(combine(_factors(rows), 1.0 / size), self.model.n)
-        if found is None:
-            raise IdentificationError(
-                "the effect of the payload's mass cannot be separated from the unknown parameters "
-                "of arm and payload; expected the same motions with and without the payload, slow "
-                "and fast, or a known centre of mass (--com)"
-            )
-        gains, noise, converged = found.gains, self._noise(rows, found), False
-        for _ in range(MOST_ITERATIONS):
-            if self.moving_load and parameters is not None:
-                rows = self._rows(parameters, body)
-            found = most_likely(_factors(rows), found, noise)
-            change = np.abs(found.gains - gains) / np.maximum(np.abs(found.gains), 1e-300)
-            gains, noise = found.gains, self._noise(rows, found)
-            values = found.others[: self.model.base.count]
-            body = self.known.copy()
-            body[self.unknown] = found.others[self.model.base.count :]
-            parameters = self.model.base.lift(values, nominal_parameters(self.model))
-            if change.max() <= CONVERGED:
-                converged = True
-                break
-        torque_noise = np.where(gains != 0.0, np.abs(gains), 1.0) * noise
-        return self._with_covariance(rows, found, body, torque_noise, converged)
-
-    def _with_covariance(
-        self, rows: Rows, found: Unknowns, body: Array, noise: Array, converged: bool
-    ) -> GainSolution:
-        """Evaluate the covariance at the noise-free currents that the solution predicts."""
-        residuals = self._residuals(rows, found)
-        n = self.model.n
-        clean = []
-        for j, (joint, e) in enumerate(zip(rows.joints, residuals, strict=True)):
-            matrix = joint.matrix[:, :-1].copy()
-            if len(e):
-                matrix[:, j] -= e / found.gains[j]
-            clean.append(JointRows(joint.columns[:-1], matrix, e, joint.instant))
-        exact = Rows(clean, self.width, rows.segments)
-        weights = row_weights(exact, 1.0 / noise)
-        least = solve(combine(joint_factors(exact), 1.0 / noise))
-        return GainSolution(
-            gains=found.gains,
-            values=found.others[: self.model.base.count],
-            body=body,
-            covariance=hac_covariance(exact, weights, residuals, least.unit_covariance),
-            hidden=np.array(least.unexcited).reshape(-1, self.width),
-            residuals=tuple(residuals),
-            currents=tuple(j.matrix[:, k] for k, j in enumerate(rows.joints[:n])),
-            converged=converged,
-        )
-
-    def _rows(self, parameters: Array | None, body: Array) -> Rows:
-        """Return rows of the homogeneous system in [gains; base parameters; payload; 1]."""
-        shapes = self.model.initial_shapes
-        loaded = parameters
-        if parameters is not None:
-            last = BODY * self.model.n
-            loaded = parameters.copy()
-            loaded[last - BODY : last] += self.transport @ body
-        empty = self.unloaded.rows(shapes, parameters)
-        full = self.loaded.rows(shapes, loaded)
-        first = int(empty.segments[-1])
-        joints = []
-        for j, (one, other) in enumerate(zip(empty.joints, full.joints, strict=True)):
-            joints.append(
-                JointRows(
-                    np.arange(self.width + 1),
-                    np.vstack([self._wide(j, one, False), self._wide(j, other, True)]),
-                    np.zeros(len(one.torque) + len(other.torque)),
-                    np.concatenate([one.instant, first + other.instant]),
-                )
-            )
-        segments = np.concatenate([empty.segments, first + full.segments[1:]])
-        return Rows(joints, self.width + 1, segments)
-
-    def _wide(self, j: int, joint: JointRows, with_payload: bool) -> Array:
-        n, p = self.model.n, self.model.base.count
-        matrix = np.zeros((len(joint.torque), self.width + 1))
-        matrix[:, j] = joint.torque
-        matrix[:, n + joint.columns] = -joint.matrix
-        if with_payload:
-            matrix[:, n + p : -1] = -joint.matrix @ self.to_unknown[joint.columns]
-            matrix[:, -1] = -joint.matrix @ self.by_mass[joint.columns]
-        return matrix
-
-    def _noise(self, rows: Rows, found: Unknowns) -> Array:
-        """Return the noise (n,) of the currents, A."""
-        torque = np.array([_size(e) for e in self._residuals(rows, found)])
-        return torque / np.where(found.gains != 0.0, np.abs(found.gains), 1.0)
-
-    def _residuals(self, rows: Rows, found: Unknowns) -> list[Array]:
-        solution = np.concatenate([found.gains, found.others, [1.0]])
-        return [joint.matrix @ solution for joint in rows.joints]
-
-
-def _factors(rows: Rows) -> list[Factor]:
-    """Return the joints' triangular factors without the right-hand side, which is zero."""
-    return [Factor(f.r[:, :-1], f.rows) for f in joint_factors(rows)]
+def _nonzero(gains: Array) -> Array:
+    return np.where(gains != 0.0, np.abs(gains), 1.0)
 
 
 def _size(error: Array) -> float:

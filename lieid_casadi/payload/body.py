@@ -5,7 +5,6 @@ The parameters are m, m·c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from lieid_casadi.identification.feasible.problem import (
     FeasibleProblem,
 )
 from lieid_casadi.identification.regression.least_squares import Factor
-from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.robot.inertia import body_inertia, link_parameters, pseudo_inertia
 
 Mask = NDArray[np.bool_]
@@ -73,42 +71,15 @@ def identifiable_quantities(hidden: Array) -> Mask:
     return np.asarray(~np.any(DEPENDS_ON & hidden_parameters, axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class FeasibleBody:
-    """The nearest physically consistent body."""
-
-    parameters: Array  # (10,) m, m·c, inertia about the tool frame's origin (kg, kg·m, kg·m²)
-    rms_after: Array  # (n,) RMS error of the loaded run with this body, N·m
-
-    @property
-    def mass(self) -> float:
-        """Mass, kg."""
-        return float(self.parameters[0])
-
-    @property
-    def com(self) -> Array:
-        """Centre of mass (3,), tool frame, m."""
-        return physical_quantities(self.parameters)[1:4]
-
-    @property
-    def inertia(self) -> Array:
-        """xx, xy, yy, xz, yz, zz (6,) about the centre of mass, tool axes, kg·m²."""
-        return physical_quantities(self.parameters)[4:]
-
-    @property
-    def eigenvalues(self) -> Array:
-        """Eigenvalues (4,) of the pseudo-inertia, all positive."""
-        return np.asarray(np.linalg.eigvalsh(pseudo_inertia(self.parameters)))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the body as in the JSON output."""
-        return {
-            "mass": self.mass,
-            "com": self.com.tolist(),
-            "inertia": self.inertia.tolist(),
-            "eigenvalues": self.eigenvalues.tolist(),
-            "rms_after": numbers_or_none(self.rms_after),
-        }
+def body_dict(parameters: Array) -> dict[str, Any]:
+    """Return mass, centre of mass, central inertia and pseudo-inertia eigenvalues for JSON."""
+    values = physical_quantities(parameters)
+    return {
+        "mass": float(values[0]),
+        "com": values[1:4].tolist(),
+        "inertia": values[4:].tolist(),
+        "eigenvalues": np.linalg.eigvalsh(pseudo_inertia(parameters)).tolist(),
+    }
 
 
 DENSITY = 2700.0  # kg/m³, aluminium: density of the reference ball

@@ -12,7 +12,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
-from lieid_casadi.payload.body import NAMES, UNITS, FeasibleBody, physical_quantities
+from lieid_casadi.payload.body import NAMES, UNITS, body_dict, physical_quantities
 from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:
@@ -38,8 +38,8 @@ class FrictionChange:
     name: str
     joint: int  # from 0
     fitted: float  # value in the fit
-    change: float  # value in the loaded run minus that in the fit, and its standard deviation
-    std: float  # value in the loaded run minus that in the fit, and its standard deviation
+    change: float  # value in the loaded run minus that in the fit
+    std: float  # of the change
     unit: str
 
 
@@ -61,8 +61,8 @@ class PayloadEstimate:
     parameters, covariance : (10,), (10, 10)
         m, m·c, inertia about the tool frame's origin; zero with zero variance along directions
         that cannot be identified.
-    feasible : FeasibleBody
-        The nearest physically consistent body.
+    feasible : (10,)
+        The nearest physically consistent body, as ``parameters``.
     not_identified : tuple of NotIdentified
         Quantities without a value, or with a large relative uncertainty.
     rms_before, rms_after : (n,)
@@ -76,11 +76,6 @@ class PayloadEstimate:
         Cut-off frequency of the low-pass filter, Hz.
     recordings : tuple of Source
     warnings : tuple of LieidWarning
-    from_currents : bool
-        Whether torque comes from motor currents.
-    torque_constant_std : tuple of float
-        Relative standard deviation of the torque constants that ``std`` includes: one for all
-        joints, or one per joint.
     """
 
     robot: str
@@ -90,7 +85,7 @@ class PayloadEstimate:
     std: Array
     parameters: Array
     covariance: Array
-    feasible: FeasibleBody
+    feasible: Array
     not_identified: tuple[NotIdentified, ...]
     rms_before: Array
     rms_after: Array
@@ -99,8 +94,6 @@ class PayloadEstimate:
     cutoff: float
     recordings: tuple[Source, ...]
     warnings: tuple[LieidWarning, ...]
-    from_currents: bool = False
-    torque_constant_std: tuple[float, ...] = (0.0,)
 
     @property
     def mass(self) -> float:
@@ -133,9 +126,10 @@ class PayloadEstimate:
         return self.std[4:]
 
     @property
-    def interval(self) -> tuple[Array, Array]:
-        """Bounds (10,) of the 95 % confidence interval of each of ``values``."""
-        return self.values - NORMAL * self.std, self.values + NORMAL * self.std
+    def _interval(self) -> Array:
+        """Bounds (10, 2) of the 95 % confidence interval of each of ``values``."""
+        half = NORMAL * self.std
+        return np.column_stack([self.values - half, self.values + half])
 
     @property
     def explained(self) -> bool:
@@ -171,40 +165,18 @@ class PayloadEstimate:
             f"{1000 * c:.1f} ± {1000 * s:.1f}" if np.isfinite(c) else "not identified"
             for c, s in zip(self.com, self.com_std, strict=True)
         ]
-        return (
-            f"Payload {size}, centre of mass at ({', '.join(com)}) mm in the {self.frame}."
-            f"{self._on_constants}"
-        )
-
-    @property
-    def _on_constants(self) -> str:
-        """How the mass depends on the torque constants."""
-        sizes = self.torque_constant_std
-        if any(sizes):
-            share = (
-                f"{100 * min(sizes):.3g}"
-                if len(set(sizes)) == 1
-                else (f"{100 * min(sizes):.3g} to {100 * max(sizes):.3g}")
-            )
-            return f" Standard deviations include {share} % of the torque constants."
-        if not self.from_currents:
-            return ""
-        return (
-            " Mass and inertia are in proportion to the torque constants, whose uncertainty is not "
-            "included; state it with --torque-constants-std."
-        )
+        return f"Payload {size}, centre of mass at ({', '.join(com)}) mm in the {self.frame}."
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per quantity: name, value, std, interval, feasible, unit, identified."""
-        weak = {part.name for part in self.not_identified}
-        low, high = self.interval
-        feasible = physical_quantities(self.feasible.parameters)
+        weak, ends = {part.name for part in self.not_identified}, self._interval
+        feasible = physical_quantities(self.feasible)
         return [
             {
                 "name": name,
                 "value": number_or_none(self.values[k]),
                 "std": number_or_none(self.std[k]),
-                "interval": None if np.isnan(self.values[k]) else [float(low[k]), float(high[k])],
+                "interval": None if np.isnan(self.values[k]) else ends[k].tolist(),
                 "feasible": float(feasible[k]),
                 "unit": UNITS[k],
                 "identified": name not in weak,
@@ -214,13 +186,11 @@ class PayloadEstimate:
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid payload --json`` writes."""
-        low, high = self.interval
+        ends = [numbers_or_none(pair) for pair in self._interval]
         return {
             "robot": self.robot,
             "frame": "tool",
             "frame_place": self.frame,
-            "from_currents": self.from_currents,
-            "torque_constant_std": list(self.torque_constant_std),
             "verdict": self.sentence,
             "explained": self.explained,
             "mass": number_or_none(self.mass),
@@ -231,12 +201,8 @@ class PayloadEstimate:
                 "com": numbers_or_none(self.com_std),
                 "inertia": numbers_or_none(self.inertia_std),
             },
-            "interval_95": {
-                "mass": numbers_or_none(np.array([low[0], high[0]])),
-                "com": [numbers_or_none(pair) for pair in np.column_stack([low, high])[1:4]],
-                "inertia": [numbers_or_none(pair) for pair in np.column_stack([low, high])[4:]],
-            },
-            "feasible": self.feasible.to_dict(),
+            "interval_95": {"mass": ends[0], "com": ends[1:4], "inertia": ends[4:]},
+            "feasible": body_dict(self.feasible),
             "not_identified": [
                 {"name": part.name, "reason": part.reason} for part in self.not_identified
             ],
@@ -244,17 +210,7 @@ class PayloadEstimate:
             "rms_after": numbers_or_none(self.rms_after),
             "rms_fit": numbers_or_none(self.rms_fit),
             "refit_friction": bool(self.friction),
-            "friction": [
-                {
-                    "name": part.name,
-                    "joint": part.joint + 1,
-                    "fitted": part.fitted,
-                    "change": part.change,
-                    "std": part.std,
-                    "unit": part.unit,
-                }
-                for part in self.friction
-            ],
+            "friction": [vars(part) | {"joint": part.joint + 1} for part in self.friction],
             "cutoff": self.cutoff,
             "recordings": [r.to_dict() for r in self.recordings],
             "warnings": warning_list(self.warnings),
@@ -295,12 +251,10 @@ def quantity_table(payload: PayloadEstimate) -> Table:
 
 def error_table(payload: PayloadEstimate) -> Table:
     """Return the RMS error of each joint with and without the payload."""
-    columns = (
-        payload.rms_before, payload.rms_after, payload.feasible.rms_after, payload.rms_fit,
-    )  # fmt: skip
+    columns = (payload.rms_before, payload.rms_after, payload.rms_fit)
     return make_table(
         f"RMS error in motion, N·m (low-pass {payload.cutoff:.3g} Hz)",
-        ("joint", "fit alone", "with the payload", "feasible", "held-out error of the fit"),
+        ("joint", "fit alone", "with the payload", "held-out error of the fit"),
         [
             (f"{j + 1} {name}", *(float(column[j]) for column in columns))
             for j, name in enumerate(payload.joint_names)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
@@ -37,7 +37,6 @@ from lieid_casadi.payload.body import (
     NAMES,
     SCALE,
     UNITS,
-    FeasibleBody,
     distance,
     identifiable_quantities,
     nearest_feasible_body,
@@ -214,12 +213,10 @@ def _payload_warnings(
             NegativeMassWarning(
                 f"mass {with_std(result.mass, result.mass_std)} kg is negative"
                 f"{'' if significant else ', but not significantly'}; the nearest physically "
-                f"consistent body has {result.feasible.mass:.3g} kg"
+                f"consistent body has {result.feasible[0]:.3g} kg"
             )
         )
-    away = distance(
-        result.feasible.parameters, estimate.parameters, estimate.covariance, estimate.hidden
-    )
+    away = distance(result.feasible, estimate.parameters, estimate.covariance, estimate.hidden)
     if away > IMPOSSIBLE and not result.mass < 0.0:
         found.append(
             ImpossiblePayloadWarning(
@@ -259,7 +256,6 @@ def identify_payload(
     *,
     cutoff: float | None = None,
     refit_friction: bool = False,
-    torque_constant_std: float | ArrayLike = 0.0,
     progress: Progress | None = None,
 ) -> PayloadEstimate:
     """Identify a payload at the tool that a fit does not include.
@@ -279,9 +275,6 @@ def identify_payload(
     refit_friction : bool
         Whether Coulomb friction, viscous friction and offsets are identified again from this
         run, for an arm whose temperature differs from that of the fit.
-    torque_constant_std : float or (n,)
-        Relative standard deviation of the torque constants: of an error that all joints share,
-        or of independent errors of each joint.
     progress : callable, optional
         Called with the name of a stage and the completed fraction (0 to 1).
 
@@ -302,8 +295,8 @@ def identify_payload(
     Notes
     -----
     Khalil, Gautier, Lemoine, "Identification of the payload inertial parameters of industrial
-    manipulators", ICRA 2007. The mass scales with the torque constants where torques come from
-    motor currents.
+    manipulators", ICRA 2007. Mass and inertia scale with the torque constants where torques come
+    from motor currents; their standard deviations do not contain an error of these constants.
     """
     given = listed(recordings)
     report = progress or (lambda stage, fraction: None)
@@ -343,48 +336,14 @@ def identify_payload(
     if not refit_friction:
         found += _changed_friction(run, kept, refitted, frictional)
     report("feasible body", 0.8)
-    constants = _std_of_constants(fit, torque_constant_std)
-    estimate = _with_uncertain_constants(estimate, np.array(constants))
     result = replace(
         _result(fit, run, estimate, frictional if refit_friction else None),
-        from_currents=_from_currents(fit, given),
-        torque_constant_std=constants,
         recordings=tuple(Source.of(r) for r in given),
     )
     found += [w for segment in segments for w in segment.warnings]
     found += _payload_warnings(fit, result, estimate)
     report("done", 1.0)
     return replace(result, warnings=unique_warnings(found))
-
-
-def _from_currents(fit: Fit, recordings: Sequence[Recording]) -> bool:
-    """Whether torque comes from motor currents: by constants, or by a fit with rotor inertia."""
-    return (
-        any(recording.torque_constants is not None for recording in recordings)
-        or bool(np.isfinite(fit.model.robot.torque_constants).any())
-        or any(placement.effect.name == "armature" for placement in fit.model.placements)
-    )
-
-
-def _std_of_constants(fit: Fit, std: float | ArrayLike) -> tuple[float, ...]:
-    """Return relative standard deviations: one for all joints, or one per joint."""
-    values = np.atleast_1d(np.asarray(std, dtype=np.float64))
-    sizes = (1, fit.model.n)
-    if values.ndim != 1 or len(values) not in sizes or not np.all((values >= 0) & (values < 1)):
-        raise IdentificationError(
-            f"standard deviations of torque constants: found {np.round(values, 6).tolist()}; "
-            f"expected one or {fit.model.n} numbers from 0 to 1, relative to the constants"
-        )
-    return tuple(values.tolist())
-
-
-def _with_uncertain_constants(estimate: LoadedRunEstimate, sizes: Array) -> LoadedRunEstimate:
-    """Return the estimate with the covariance that uncertain torque constants add."""
-    if not sizes.any():
-        return estimate
-    slopes = estimate.parameters[None] if len(sizes) == 1 else estimate.by_joint
-    added = (sizes[:, None] * slopes).T @ (sizes[:, None] * slopes)
-    return replace(estimate, covariance=estimate.covariance + added)
 
 
 def require_one_load(segments: Sequence[Processed]) -> None:
@@ -420,7 +379,6 @@ def _result(
     not_identified = _not_identified(values, std, identifiable, hidden)
     unknown = ~identifiable | _too_uncertain(values, std)
     body = nearest_feasible_body(estimate.parameters, estimate.covariance, estimate.hidden)
-    feasible_errors = run.errors(body, refitted, estimate.free)
     return PayloadEstimate(
         robot=fit.model.robot.name,
         frame=_frame(fit.model.robot),
@@ -429,7 +387,7 @@ def _result(
         std=np.where(unknown, np.nan, std),
         parameters=estimate.parameters,
         covariance=estimate.covariance,
-        feasible=FeasibleBody(body, rms(feasible_errors)),
+        feasible=body,
         not_identified=not_identified,
         rms_before=rms(estimate.before),
         rms_after=rms(estimate.after),

@@ -50,21 +50,15 @@ STEP = 1e-3  # kg, kg·m, kg·m²: finite difference for the derivative of load 
 class LoadedRunEstimate:
     """Least-squares estimate from a loaded run."""
 
-    parameters: Array  # (10,), (10, 10) Payload in the tool frame (kg, kg·m, kg·m²)
-    covariance: Array  # (10,), (10, 10) Payload in the tool frame (kg, kg·m, kg·m²)
+    parameters: Array  # (10,) Payload in the tool frame (kg, kg·m, kg·m²)
+    covariance: Array  # (10, 10)
     #: (h, 10) Directions of the payload's parameters that cannot be identified from the run
     hidden: Array
-    free: Array  # (f,) Changes of the fit's free parameters and their standard deviations
-    free_std: Array  # (f,) Changes of the fit's free parameters and their standard deviations
-    #: measured − predicted torque per joint, N·m: of the fit alone, and with the payload and the
-    #: refitted parameters, all other parameters of the fit unchanged
-    before: tuple[Array, ...]
-    #: measured − predicted torque per joint, N·m: of the fit alone, and with the payload and the
-    #: refitted parameters, all other parameters of the fit unchanged
+    free: Array  # (f,) Changes of the fit's free parameters
+    free_std: Array  # (f,) their standard deviations
+    before: tuple[Array, ...]  # measured − predicted torque of the fit alone per joint, N·m
+    #: the same with the payload and the refitted parameters, others of the fit unchanged
     after: tuple[Array, ...]
-    #: (n, 10) Contribution of each joint's torque to the parameters; their sum over joints is the
-    #: parameters, up to the change of the fit's parameters
-    by_joint: Array
     #: (n,) Standard deviation of the residual per joint, N·m, after the fit's parameters have been
     #: adjusted within their uncertainty
     noise: Array
@@ -128,20 +122,9 @@ class LoadedRun:
             np.sqrt(np.diag(covariance)[BODY + self.root.shape[1] :]),
             tuple(before),
             tuple(after),
-            np.array(
-                [
-                    unit[:BODY] @ (joint.matrix.T @ joint.torque) * weight**2
-                    for joint, weight in zip(rows.joints, self._weights(noise), strict=True)
-                ]
-            ),
             noise,
             converged,
         )
-
-    def errors(self, body: Array, free: NDArray[np.bool_] | None, change: Array) -> list[Array]:
-        """Return measured − predicted torque per joint (R,) with a body at the tool."""
-        chosen = self.drifting if free is None else free | self.drifting
-        return self._residuals(self._rows(body), body, np.flatnonzero(chosen), change)
 
     def _rows(self, body: Array) -> Rows:
         return self.design.rows(self.fit.shapes, self.loaded_parameters(body))

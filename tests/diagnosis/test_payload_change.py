@@ -7,7 +7,6 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.errors import IdentificationError
 
 ROBOT = lieid.robots.panda()
 COM = np.array([0.02, 0.03, 0.08])
@@ -37,21 +36,6 @@ def test_a_payload_is_the_only_change(fit):
     moment = [parameters[f"mc{x}"] for x in "xyz"]
     np.testing.assert_allclose(np.array(moment) / parameters["m"], COM, atol=2e-3)
     assert "2.8 kg, centre of mass at (20, 30, 80) mm in the tool frame" in found.sentence
-
-
-def test_uncertain_torque_constants_are_part_of_the_standard_deviation(fit):
-    run = recording(3, 2.8)
-    exact = lieid.identify_payload(fit, run)
-    shared = lieid.identify_payload(fit, run, torque_constant_std=0.03)
-    each = lieid.identify_payload(fit, run, torque_constant_std=[0.03] * 7)
-    added = np.sqrt(shared.mass_std**2 - exact.mass_std**2)
-    assert added == pytest.approx(0.03 * exact.mass, rel=0.01)
-    assert exact.mass_std < each.mass_std < shared.mass_std
-    np.testing.assert_array_equal(shared.values[:4], exact.values[:4])
-    assert "include 3 % of the torque constants" in shared.sentence
-    assert "in the tool frame, at (0, 0, " in exact.sentence
-    with pytest.raises(IdentificationError, match="expected one or 7 numbers"):
-        lieid.identify_payload(fit, run, torque_constant_std=[0.1, 0.2])
 
 
 def test_friction_that_changed_on_several_joints_is_one_finding(fit):

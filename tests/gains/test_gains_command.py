@@ -53,11 +53,6 @@ def test_identify_accepts_the_printed_option(files, tmp_path, capsys):
     assert np.allclose(coulomb, ARM.friction.coulomb, rtol=0.05)
 
 
-def test_a_known_centre_of_mass(files, capsys):
-    assert lieid_gains(files, "--com", 0.03, -0.02, 0.08) == 0
-    assert "(30.0 ± 0.0, -20.0 ± 0.0, 80.0 ± 0.0) mm" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("words", "files_and_mass", "message"),
     [
@@ -69,7 +64,6 @@ def test_a_known_centre_of_mass(files, capsys):
         ([], {"unloaded": "loaded.csv", "loaded": "empty.csv"}, "exchanged"),
         ([], {"loaded": "gone.csv"}, "no such file"),
         (["--effects", "coulom"], {}, "unknown effect 'coulom'"),
-        (["--com", 1, 2], {}, "expected 3 arguments"),
     ],
 )
 def test_bad_input_is_one_line(files, tmp_path, refusal, words, files_and_mass, message):
