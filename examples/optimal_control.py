@@ -125,7 +125,7 @@ def main(argv=None):
     training = plant.simulate(arm, motion, sensors=plant.demo_sensors(robot), seed=1)
     fit = lieid.identify(lieid.Model(robot, EFFECTS), training, method="feasible")
     plan = minimum_time(fit)
-    run = plant.simulate(arm, plan, control=plant.Control(feedforward=True))
+    run = plant.simulate(arm, plan)
     q, _, _ = plan.at(run.t)
     tracking = np.abs(run.q - q).max()
     planned = np.column_stack([np.interp(run.t, plan.t, tau) for tau in plan.tau.T])

@@ -21,21 +21,15 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --window S: above = 1  length of the windows
     --under {command,torque}  input; default: commands if the fit has a drive law and the
         recordings have them
-    --no-effects  leave out the models without one effect of the fit each
-    --train REC …: input  recordings from which the models without an effect are identified;
-        default: the simulated recordings
-    --train-episodes A:B  episodes of datasets after --train; default: all
     --plot FILE: picture  draw the drift per joint
     @RECORDING @JSON
     """
     from dataclasses import replace
 
     from lieid_casadi.simulation import simulate
-    from lieid_casadi.simulation.simulate import drift_table, effects_table
+    from lieid_casadi.simulation.simulate import drift_table
 
     fit, recordings = inputs.fit_and_recordings(args)
-    own = argparse.Namespace(**vars(args) | {"episodes": args.train_episodes})
-    train = inputs.recordings_of(args.train, own, fit) if args.train else None
     drives = inputs.drives_of(args, fit.model.robot)
     if drives is not None:
         robot = fit.model.robot.with_drives(drives)
@@ -43,17 +37,11 @@ def run(args: argparse.Namespace) -> output.Outcome:
         fit = replace(fit, model=model)
     with output.progress("simulate") as report:
         simulation = simulate(
-            fit,
-            recordings,
-            window=args.window,
-            under=args.under,
-            each_effect=not args.no_effects,
-            train=train,
-            progress=report,
+            fit, recordings, window=args.window, under=args.under, progress=report
         )
     motion = {"q": simulation.q, "dq": simulation.dq}
     return output.Outcome(
-        (drift_table(simulation), effects_table(simulation), *simulation.warnings),
+        (drift_table(simulation), *simulation.warnings),
         json=simulation.to_dict(),
         plot=simulation.plot,
         files={"output": lambda: output.csv_bytes(simulation.t, **motion)},

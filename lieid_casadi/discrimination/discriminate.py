@@ -37,7 +37,6 @@ def discriminate(
     level: float = 0.95,
     duration: float = 10.0,
     harmonics: int = 5,
-    samples: int | None = None,
     start_pose: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
     margin: float = MARGIN,
@@ -68,8 +67,6 @@ def discriminate(
         Of one period, s.
     harmonics : int
         Of the Fourier series.
-    samples : int, optional
-        Of the criterion over a period, by default 200, or 8 per coefficient if that is more.
     start_pose : (n,), optional
         Where the motion begins and ends at rest, rad. Default: the middle of the joint ranges or,
         where that is near a limit, a pose that is far from all limits.
@@ -128,7 +125,7 @@ def discriminate(
         limits = default_limits(robot, margin=margin)
     feasible = feasible_motions(
         robot, arm, motion_range(robot, acceleration, margin=margin), limits,
-        duration=duration, harmonics=harmonics, samples=samples, start_pose=start_pose,
+        duration=duration, harmonics=harmonics, start_pose=start_pose,
     )  # fmt: skip
     samples_per_second = independent_rate(fit)
     groups = [
@@ -147,10 +144,8 @@ def discriminate(
         motion = feasible.motion(z)
         return min(group.worst(motion) for group in groups)
 
-    values = []
-    for k, z in enumerate(drawn):
-        progress("random motions", 0.3 * k / starts)
-        values.append(criterion(z))
+    progress("random motions", 0.1)
+    values = [criterion(z) for z in drawn]
     refined: list[SearchedMotion] = []
     for k, start in enumerate(np.argsort(values)[::-1][:REFINED]):
         progress(f"refine {k + 1} of {REFINED}", 0.3 + 0.7 * k / REFINED)
@@ -163,7 +158,6 @@ def discriminate(
     best, violation = feasible.verified(max(refined, key=lambda motion: motion.value).z)
     pairs = tuple(pair for group in groups for pair in group.result(feasible.motion(best)))
     worst = max(p.needed / p.noncentrality for p in pairs if p.separable)
-    median = float(np.median(values))
     trajectory = feasible.parametrization.trajectory(best)
     times = np.append(np.arange(0.0, duration, 1.0 / rate), duration)
     verified = verify(robot, trajectory.at(times), feasible.range, feasible.limits, arm)
@@ -173,8 +167,8 @@ def discriminate(
             r.label: [*r.coefficients.tolist(), *r.shapes.tolist()]
             for group in groups for r in group.effects
         },
-        pairs=pairs, random_seconds=duration / median if median > 0.0 else float("inf"),
-        max_violation=violation, evaluations=len(values) + sum(r.evaluations for r in refined),
+        pairs=pairs, max_violation=violation,
+        evaluations=len(values) + sum(r.evaluations for r in refined),
         solve_seconds=time.monotonic() - began, rate=rate, interrupted=refined[-1].interrupted,
         checked=verified.checked, unchecked=verified.unchecked,
     )  # fmt: skip
@@ -182,12 +176,10 @@ def discriminate(
 
 def _check_options(fit: Fit, level: float, starts: int, evaluations: int, rate: float) -> None:
     """Raise an error if options are out of their range, or if the fit has no noise."""
-    if not 0.5 <= level < 1.0:
-        raise ExcitationError(f"level: {level:g}; expected 0.5 to 1")
-    if starts < TRIED or evaluations < 1 or not rate > 0.0:
+    if not 0.5 <= level < 1.0 or starts < TRIED or evaluations < 1 or not rate > 0.0:
         raise ExcitationError(
-            f"starts {starts}, evaluations {evaluations}, rate {rate:g}; expected at least "
-            f"{TRIED}, at least 1, and a positive number"
+            f"level {level:g}, starts {starts}, evaluations {evaluations}, rate {rate:g}; expected "
+            f"0.5 to 1, at least {TRIED}, at least 1, and a positive number"
         )
     silent = [f"joint {j + 1}" for j, noise in enumerate(fit.noise) if not noise > 0.0]
     if silent:

@@ -67,8 +67,6 @@ class Discrimination:
         Of the test and its power: 0.95 rejects a wrong rival at the 5 % level in 95 % of cases.
     sizes : dict
         Label → assumed coefficients, then shape parameters, of each effect.
-    random_seconds : float
-        Duration that the median of the random motions would need, s.
     max_violation : float
         Of the limits on a fine grid, relative to each; negative values are margins.
     evaluations : int
@@ -87,7 +85,6 @@ class Discrimination:
     level: float
     sizes: dict[str, list[float]]
     pairs: tuple[RivalPair, ...]
-    random_seconds: float
     max_violation: float
     evaluations: int
     solve_seconds: float
@@ -132,7 +129,6 @@ class Discrimination:
             "level": self.level,
             "seconds": self.seconds,
             "exact_seconds": self.exact_seconds,
-            "random_seconds": self.random_seconds if np.isfinite(self.random_seconds) else None,
             "duration": self.trajectory.duration,
             "periods": self.periods,
             "pairs": [
@@ -155,8 +151,6 @@ class Discrimination:
             f"({self.periods} × {self.trajectory.duration:.4g} s) separate them with "
             f"{100.0 * self.level:.4g} % confidence"
         )
-        if np.isfinite(self.random_seconds):
-            text += f"; a random motion needs about {self.random_seconds:.0f} s"
         contained = [f"{p.true} from {p.rival}" for p in self.pairs if not p.separable]
         if contained:
             text += (
@@ -167,23 +161,11 @@ class Discrimination:
         return f"{text}\nNot checked: {'; '.join(self.unchecked)}."
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the motion and the torque that each rival's refit leaves; not shown.
-
-        The torque is that on the joint where it is largest.
-        """
+        """Draw the torque that each rival's refit leaves on the joint where it is largest."""
         from matplotlib.figure import Figure
 
-        figure: Figure
         if ax is None:
-            figure = Figure(figsize=(9.0, 6.0), layout="constrained")
-            upper, ax = figure.subplots(2, 1, sharex=True)
-            motion = self.motion(rate=100.0)
-            for j in range(self.model.n):
-                upper.plot(motion.t, motion.q[:, j], linewidth=1.2, label=f"q{j + 1}")
-            upper.set_ylabel("position, rad")
-            upper.legend(ncols=self.model.n, fontsize="small")
-        else:
-            figure = ax.get_figure(root=True)  # type: ignore[assignment]
+            ax = Figure(figsize=(9.0, 3.5), layout="constrained").add_subplot()
         for pair in self.pairs:
             if pair.separable:
                 j = int(np.argmax(np.square(pair.residual).sum(axis=0)))
@@ -196,7 +178,9 @@ class Discrimination:
             f"{self.seconds:.4g} s separate them with {100.0 * self.level:.4g} % confidence"
         )
         ax.legend(fontsize="small")
-        return figure
+        drawn = ax.get_figure(root=True)
+        assert drawn is not None
+        return drawn
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
         """Write ``trajectory.csv`` (one period), ``discriminate.json``, ``discriminate.png``.

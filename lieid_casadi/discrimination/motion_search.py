@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.errors import ExcitationError, NoSolution
+from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation.design import check_at_rest, excesses_along, find_start_pose
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
@@ -35,7 +35,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.robot import Robot
 
 MEMORY = 500  # samples of the noise
-SAMPLES = 200  # fewest of the criterion over a period, where the number is not given
+SAMPLES = 200  # fewest of the criterion over a period; 8 per coefficient if that is more
 COARSE = 4  # points per sample of the criterion, on which limits are checked during the search
 USED = 0.998  # part of each limit that is used
 SHRINK = 0.9  # factor by which a motion outside of the limits is reduced
@@ -130,15 +130,10 @@ def feasible_motions(
     *,
     duration: float,
     harmonics: int,
-    samples: int | None,
     start_pose: ArrayLike | None,
 ) -> FeasibleMotions:
     """Return the motions of a Fourier basis within limits; they start and end at rest."""
     basis = Fourier(harmonics, duration)
-    if samples is None:
-        samples = max(SAMPLES, 8 * basis.size)
-    if samples < 4 * basis.size:
-        raise ExcitationError(f"samples: {samples}; expected at least {4 * basis.size}")
     check_duration(robot, joints, duration)
     made = on_arm(limits, robot, fit)
     sets = sets_of(made)
@@ -150,7 +145,7 @@ def feasible_motions(
         check_start_pose(robot, joints, pose)
         check_at_rest(pose, every)
     parametrization = Parametrization(basis, pose, joints.units)
-    return FeasibleMotions(parametrization, joints, sets, made, samples)
+    return FeasibleMotions(parametrization, joints, sets, made, max(SAMPLES, 8 * basis.size))
 
 
 @dataclass(frozen=True, eq=False)

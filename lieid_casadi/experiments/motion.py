@@ -135,7 +135,7 @@ class MotionDesign:
         arm = None if self.fit is None else FittedArm.of(self.fit)
         feasible = feasible_motions(
             self.model.robot, arm, self.range, self.limits,
-            duration=seconds or 1.0, harmonics=2, samples=None, start_pose=start_pose,
+            duration=seconds or 1.0, harmonics=2, start_pose=start_pose,
         )  # fmt: skip
         drawn = feasible.drawn(np.random.default_rng([self.seed, 31]))
         z, _ = feasible.verified(PROBE_SIZE * drawn)
@@ -278,10 +278,8 @@ class MotionDesign:
             names = "; ".join(" from ".join(group) for group in chosen)
             if best.exact_seconds <= most * self.seconds:
                 periods = min(best.periods, round(self.seconds / best.trajectory.duration))
-                promise = f"{best.exact_seconds:.3g} s of this motion separate {names}"
-                if np.isfinite(best.random_seconds):
-                    promise += f"; a random motion needs about {best.random_seconds:.3g} s"
-                return best.motion(periods=periods), f"{promise}."
+                promise = f"{best.exact_seconds:.3g} s of this motion separate {names}."
+                return best.motion(periods=periods), promise
             reasons.append(
                 f"{names}: the best motion found within the limits would have to run for "
                 f"{best.exact_seconds:.3g} s; {most} recordings of {self.seconds:.3g} s are left."

@@ -19,6 +19,7 @@ from lieid_casadi.exporters.simulator_joints import (
     beyond_linear_friction,
     check_possible,
     file_name,
+    for_steps,
     inertial,
     linear_friction,
     number,
@@ -31,7 +32,7 @@ from lieid_casadi.robot import Joint
 from lieid_casadi.simulation.play import Play, plays_of
 
 Element = ElementTree.Element
-STEP = 0.002  # s
+STEP, INTEGRATOR = 0.002, "implicitfast"  # s
 #: solreflimit of a play: the sides' time constant, s, the shortest that MuJoCo integrates stably
 #: with its step, and damping relative to critical damping.
 SIDES = (2.0 * STEP, 1.0)
@@ -75,8 +76,6 @@ def notes_of(fit: Fit, friction: Sequence[LinearFriction], plays: Sequence[Play]
     notes: list[str] = []
     names = {p.effect.name for p in fit.model.placements}
     notes += beyond_linear_friction(friction)
-    if not all(own.exact for own in friction):
-        notes.append("lieid_casadi.simulation.mujoco_callback adds the exact torque of the fit")
     dry = {label.split(".")[0] for label in (c.name for c in fit.model.columns)}
     approximated = {
         p.effect.name
@@ -94,6 +93,11 @@ def notes_of(fit: Fit, friction: Sequence[LinearFriction], plays: Sequence[Play]
     )
     if left:
         notes.append(f"not part of the MuJoCo model: {', '.join(left)}")
+    if "armature" in names and robot.drives:
+        notes.append(
+            "armature is that of the fit less half of a time step × damping, which MuJoCo's "
+            "integration adds to the inertia; export again for another timestep or integrator"
+        )
     if "command_delay" in names:
         notes.append(
             "command delays are attributes of the actuators, which MuJoCo 4.0 has; if ctrl is held "
@@ -108,8 +112,8 @@ def notes_of(fit: Fit, friction: Sequence[LinearFriction], plays: Sequence[Play]
     return notes
 
 
-def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
-    """Return a MuJoCo model and notes on its approximations.
+def mjcf_text(fit: Fit, *, step: float = STEP) -> tuple[str, list[str]]:
+    """Return a MuJoCo model that is integrated in steps (s), and notes on its approximations.
 
     Raises `ExportError`: a number that is not finite.
     """
@@ -122,7 +126,7 @@ def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
     root = ElementTree.Element("mujoco", model=allowed(robot.name) or "robot")
     _add(root, "compiler", angle="radian", autolimits="true")
     gravity = vector(robot.gravity)
-    _add(root, "option", timestep=number(STEP), integrator="implicitfast", gravity=gravity)
+    _add(root, "option", timestep=number(step), integrator=INTEGRATOR, gravity=gravity)
     world = _add(root, "worldbody")
     parent, before = world, np.eye(4)
     names = _unique([joint.link_name or f"{joint.name}_link" for joint in robot.joints])
@@ -134,7 +138,8 @@ def mjcf_text(fit: Fit) -> tuple[str, list[str]]:
         _add_link(parent, place, j)
         parent = _add(parent, "body", name=names[j], **_pose(place))
         _add(parent, "inertial", **inertial(bodies[j]))
-        _add_joint(parent, joint, joints[j], passive_torques(fit, j, friction[j]))
+        law, passive = actuator_law(fit, j), passive_torques(fit, j, friction[j])
+        _add_joint(parent, joint, joints[j], for_steps(passive, law, step, INTEGRATOR))
         if j in plays:
             _add_play(parent, joint, f"{joints[j]}_play", plays[j])
         before = joint.home

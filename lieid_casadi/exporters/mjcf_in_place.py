@@ -21,6 +21,7 @@ from lieid_casadi.exporters.simulator_joints import (
     LinearFriction,
     PassiveTorques,
     actuator_law,
+    for_steps,
     inertial,
     number,
     passive_torques,
@@ -71,9 +72,10 @@ def edited_mjcf(
         body, carried = source.carried[j]
         shared = split(bodies[j], [RigidMember("branches", np.eye(4), np.array(carried))])
         notes += model.write_inertials(body, shared.own, shared.share)
-        passive = passive_torques(fit, j, friction[j])
+        law, passive = actuator_law(fit, j), passive_torques(fit, j, friction[j])
+        passive = for_steps(passive, law, model.timestep, model.integrator)
         moved = model.write_joint(body, joint.name, passive)
-        notes += model.write_actuator(moved, joint.name, actuator_law(fit, j))
+        notes += model.write_actuator(moved, joint.name, law)
     if not np.allclose(model.gravity, fit.model.robot.gravity, atol=1e-9):
         x, y, z = fit.model.robot.gravity
         notes.append(f"gravity is not changed; the fit is for ({x:g}, {y:g}, {z:g}) m/s²")
@@ -102,7 +104,8 @@ class _Model:
                 raise CannotEdit("of settotalmass")
         self._degrees = not any(place.get("angle") == "radian" for place in compiler)
         options = [p for p in self._places if p.element.tag == "option"]
-        self._timestep = float(self._last(options, "timestep", str(TIMESTEP)))
+        self.timestep = float(self._last(options, "timestep", str(TIMESTEP)))
+        self.integrator = self._last(options, "integrator", "Euler")
         self.gravity = [float(x) for x in self._last(options, "gravity", "0 0 -9.81").split()]
 
     def _last(self, places: Sequence[_Place], name: str, default: str) -> str:
@@ -247,6 +250,6 @@ class _Model:
         if math.isfinite(law.force):
             values["forcerange"] = [-law.force / gear, law.force / gear]
         if law.delay > 0.0:
-            values |= {"delay": law.delay, "nsample": math.ceil(law.delay / self._timestep) + 1}
+            values |= {"delay": law.delay, "nsample": math.ceil(law.delay / self.timestep) + 1}
         self._set(place, "actuator", values)
         return []

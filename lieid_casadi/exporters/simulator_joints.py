@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -169,6 +169,21 @@ def actuator_law(fit: Fit, index: int) -> ActuatorLaw | None:
     # what the limit of the force limits, too; the back-EMF of a servo is damping of its joint
     damping = drive.derivative + (0.0 if math.isfinite(drive.proportional_limit) else drive.damping)
     return ActuatorLaw(drive.stiffness, damping, force, own.get("command_delay.delta", 0.0))
+
+
+def for_steps(
+    passive: PassiveTorques, law: ActuatorLaw | None, step: float, integrator: str
+) -> PassiveTorques:
+    """Return passive torques with which a joint under commands has its inertia in steps (s).
+
+    MuJoCo takes damping from the velocity at the end of a step, which adds half a step times the
+    damping to the inertia: M·q̈ = f − D·(q̇ + h/2·q̈). Its implicit integrators do so with an
+    actuator's kv, too, which Euler's takes from the velocity at the start.
+    """
+    if law is None or integrator == "RK4":
+        return passive
+    added = passive.damping + (-law.damping if integrator == "Euler" else law.damping)
+    return replace(passive, armature=max(passive.armature - 0.5 * step * added, 0.0))
 
 
 def numbers_of_joint(fit: Fit, index: int) -> dict[str, float]:

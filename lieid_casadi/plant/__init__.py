@@ -15,7 +15,6 @@ from lieid_casadi.plant.effects import (
     HiddenEffect,
     JointEffect,
     JointElasticity,
-    JointOffset,
     JointState,
     LoadFriction,
     Payload,
@@ -38,7 +37,7 @@ from lieid_casadi.plant.ideal_tracking import TrueMotion, move_along
 from lieid_casadi.plant.position_control import PositionDrive, simulate_commands
 from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.plant.sensors import Sensors, measure, measure_along
-from lieid_casadi.plant.simulate import Control, move, simulate
+from lieid_casadi.plant.simulate import move, simulate
 from lieid_casadi.plant.trajectories import (
     FourierTrajectory,
     ReferenceTrajectory,
@@ -48,9 +47,9 @@ from lieid_casadi.plant.trajectories import (
 )
 
 __all__ = [
-    "HIDDEN_EFFECT_NAMES", "Arm", "Armature", "BaseTilt", "BiasDrift", "Control", "EncoderOffset",
+    "HIDDEN_EFFECT_NAMES", "Arm", "Armature", "BaseTilt", "BiasDrift", "EncoderOffset",
     "ExternalWrench", "ForeignTorque", "FourierTrajectory", "HiddenEffect", "JointEffect",
-    "JointElasticity", "JointFriction", "JointOffset", "JointState", "LoadFriction", "Payload",
+    "JointElasticity", "JointFriction", "JointState", "LoadFriction", "Payload",
     "PositionDrive", "PositionFriction", "PositionSpring", "Presliding", "ReferenceTrajectory",
     "Sensors", "Stribeck", "TemperatureFriction", "Thermal", "TimeShift", "TorqueDelay",
     "TorqueGain", "TorqueLowpass", "TorqueRipple", "TransmissionCoupling", "TrueMotion",

@@ -117,36 +117,26 @@ class Stribeck(JointEffect):
 
 @dataclass(frozen=True)
 class LoadFriction(JointEffect):
-    """Dry friction that grows with the load: f·|τ| + f1·exp(−f2·|τ|/|q̇|).
-
-    ``generating`` replaces ``gain`` where the load drives the joint (τ·q̇ < 0).
-    """
+    """Dry friction that grows with the load: f·|τ| + f1·exp(−f2·|τ|/|q̇|)."""
 
     gain: float = 0.0
-    generating: float | None = None
     extra: float = 0.0
     rate: float = 0.0
 
     def level(self, s: JointState) -> Array:
         load, speed = np.abs(s.load[..., self.joint]), np.abs(s.dq[..., self.joint])
-        level = self._gain(s) * load
+        level = self.gain * load
         if self.extra:
             level = level + self.extra * np.exp(-self.rate * load / np.maximum(speed, SLOWEST))
         return level
 
     def level_slope(self, s: JointState) -> Array:
         load, speed = s.load[..., self.joint], np.abs(s.dq[..., self.joint])
-        slope = self._gain(s)
+        slope = np.asarray(self.gain)
         if self.extra:
             rate = self.rate / np.maximum(speed, SLOWEST)
             slope = slope - self.extra * rate * np.exp(-rate * np.abs(load))
         return slope * np.sign(load)
-
-    def _gain(self, s: JointState) -> Array:
-        if self.generating is None:
-            return np.asarray(self.gain)
-        driven = s.load[..., self.joint] * s.sign[..., self.joint] < 0.0
-        return np.where(driven, self.generating, self.gain)
 
 
 @dataclass(frozen=True)
@@ -249,17 +239,6 @@ class JointElasticity(HiddenEffect):
 
     joint: int
     stiffness: float = 1e4
-
-
-@dataclass(frozen=True)
-class JointOffset(JointEffect):
-    """A constant torque."""
-
-    name: ClassVar[str] = "offset"
-    value: float = 0.0
-
-    def torque(self, s: JointState) -> Array:
-        return np.full(s.q[..., self.joint].shape, self.value)
 
 
 @dataclass(frozen=True)

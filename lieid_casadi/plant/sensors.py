@@ -23,6 +23,7 @@ from lieid_casadi.plant.ideal_tracking import TrueMotion, move_along
 from lieid_casadi.recording import Recording
 
 PerJoint = float | tuple[float, ...]
+VELOCITY_SPAN = 0.01  # s, of the positions whose difference is the measured velocity
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Sensors:
 
     If the rate does not divide that of the motion, the nearest instants are sampled, with their
     true time stamps. The velocity is the true one with noise (``exact``), the central difference of
-    the measured position over ``velocity_span``, or not recorded (``none``).
+    the measured position over 10 ms, or not recorded (``none``).
     """
 
     rate: float | None = 200.0  # Hz; None: every instant
@@ -40,7 +41,6 @@ class Sensors:
     position_noise: PerJoint = 0.0  # white, before quantization, rad or m
     velocity: Literal["exact", "difference", "none"] = "exact"
     velocity_noise: PerJoint = 0.0  # white, rad/s
-    velocity_span: float = 0.01  # s
     torque_noise: PerJoint = 0.0  # white, N·m
     coloured_noise: PerJoint = 0.0  # standard deviation of first-order noise, N·m
     correlation_time: float = 0.02  # of this noise, s
@@ -146,7 +146,7 @@ def _velocity(
     if sensors.velocity == "exact":
         return motion.motor_dq[rows] + noise
     step = float(np.median(np.diff(motion.t)))
-    half = max(1, round(0.5 * sensors.velocity_span / step))
+    half = max(1, round(0.5 * VELOCITY_SPAN / step))
     before, after = np.maximum(rows - half, 0), np.minimum(rows + half, motion.t.size - 1)
     span = (motion.t[after] - motion.t[before])[:, None]
     return (encoder[after] - encoder[before]) / span + noise

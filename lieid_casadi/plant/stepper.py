@@ -89,7 +89,6 @@ class Stepper:
         self._hysteresis = np.zeros(arm.n)
         self._last_q = self.q
         self._lead = self._velocity_lead(arm)
-        self.unsettled = 0
 
     def step(self, t: float, command: DriveCommand, temperature: Array) -> StepResult:
         """Integrate one step, which starts at t (s), under the torque of the drives."""
@@ -163,7 +162,6 @@ class Stepper:
                 continue
             gain = np.where(np.abs(torque) < command.limit, command.gain, 0.0)
             a = a - self._newton_step(state, inertia, gain, direction, stuck, residual)
-        self.unsettled += 1
         return a, sign, rigid, smooth, level
 
     def _newton_step(

@@ -143,30 +143,41 @@ class FourierTrajectory:
 
 
 @dataclass(frozen=True, eq=False)
-class Waypoints:
-    """Quintic moves from rest to rest between poses, with dwells between them."""
+class PolynomialPath:
+    """A motion of quintics between knots; at rest before its start and after its end."""
 
-    poses: Array  # (P, n)
-    starts: Array  # (P − 1,), s
-    moves: Array  # (P − 1,), durations, s
-    duration: float
+    path: BPoly  # (n,) over time
+
+    @classmethod
+    def through(cls, times: Array, q: Array, dq: Array) -> PolynomialPath:
+        """Return the path through knots (K,), (K, n), (K, n) without acceleration."""
+        return cls(BPoly.from_derivatives(times, np.stack([q, dq, np.zeros_like(q)], axis=1)))
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end, s."""
+        return float(self.path.x[-1])
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
         """q, dq, ddq (N, n) at times (N,)."""
-        times = np.asarray(t, dtype=float)
-        leg = np.clip(np.searchsorted(self.starts, times, side="right") - 1, 0, None)
-        length = self.moves[leg][:, None]
-        s = np.clip((times - self.starts[leg]) / self.moves[leg], 0.0, 1.0)[:, None]
-        distance = self.poses[leg + 1] - self.poses[leg]
-        q = self.poses[leg] + distance * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s))
-        dq = distance / length * (30.0 * s * s * (1.0 - s) ** 2)
-        ddq = distance / length**2 * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s))
-        return q, dq, ddq
+        given = np.asarray(t, dtype=float)
+        times = np.clip(given, 0.0, self.duration)
+        inside = ((given > 0.0) & (given < self.duration))[:, None]
+        return self.path(times), self.path(times, 1) * inside, self.path(times, 2) * inside
+
+
+def moves_between(poses: Array, times: Array, dwell: float) -> PolynomialPath:
+    """Return moves from rest to rest between poses (P, n), in ``times`` (P − 1,), with dwells."""
+    starts = dwell + np.concatenate([[0.0], np.cumsum(times[:-1] + dwell)])
+    knots = np.column_stack([starts, starts + times]).ravel()
+    knots = np.concatenate([[0.0], knots, [knots[-1] + dwell]])
+    every = np.repeat(poses, 2, axis=0)
+    return PolynomialPath.through(knots, every, np.zeros_like(every))
 
 
 def point_to_point(
     robot: Robot, *, poses: int = 8, dwell: float = 1.0, speed: float = 0.7, seed: int
-) -> Waypoints:
+) -> PolynomialPath:
     """Return moves between random poses, at rest for ``dwell`` (s) between them.
 
     The fastest joint of a move reaches the part ``speed`` of its velocity limit.
@@ -178,34 +189,8 @@ def point_to_point(
     # A quintic has peaks of 15/8 of its mean velocity and 10/√3 of distance/time².
     by_velocity = 15.0 / 8.0 * distance / (speed * envelope.velocity)
     by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * distance / envelope.acceleration)
-    moves = np.maximum(np.maximum(by_velocity, by_acceleration).max(axis=1), 0.1)
-    starts = dwell + np.concatenate([[0.0], np.cumsum(moves[:-1] + dwell)])
-    return Waypoints(stops, starts, moves, float(starts[-1] + moves[-1] + dwell))
-
-
-@dataclass(frozen=True, eq=False)
-class Sweep:
-    """One joint forward and backward at constant speeds while the others hold their pose."""
-
-    pose: Array  # (n,), of the other joints
-    joint: int
-    path: BPoly  # of the moving joint
-
-    @property
-    def duration(self) -> float:
-        """Time from start to end, s."""
-        return float(self.path.x[-1])
-
-    def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """q, dq, ddq (N, n) at times (N,)."""
-        times = np.clip(np.asarray(t, dtype=float), 0.0, self.duration)
-        inside = (times > 0.0) & (times < self.duration)
-        q = np.tile(self.pose, (times.size, 1))
-        q[:, self.joint] = self.path(times)
-        dq, ddq = np.zeros((2, *q.shape))
-        dq[inside, self.joint] = self.path(times[inside], 1)
-        ddq[inside, self.joint] = self.path(times[inside], 2)
-        return q, dq, ddq
+    times = np.maximum(np.maximum(by_velocity, by_acceleration).max(axis=1), 0.1)
+    return moves_between(stops, times, dwell)
 
 
 def sweep(
@@ -215,7 +200,7 @@ def sweep(
     speeds: Sequence[float] | None = None,
     pose: ArrayLike | None = None,
     dwell: float = 0.5,
-) -> Sweep:
+) -> PolynomialPath:
     """Return forward and backward runs of one joint (from 0) across its range.
 
     Speeds (rad/s) are 5, 15 and 40 % of the joint's limit by default, the pose of the other joints
@@ -249,9 +234,11 @@ def sweep(
             ]
     knots.append((knots[-1][0] + dwell, lower, 0.0))
     times, positions, velocities = np.array(knots).T
-    states = np.column_stack([positions, velocities, 0.0 * times])
     middle = envelope.middle if pose is None else np.asarray(pose, dtype=float)
-    return Sweep(middle, joint, BPoly.from_derivatives(times, states))
+    q = np.tile(middle, (len(times), 1))
+    dq = np.zeros_like(q)
+    q[:, joint], dq[:, joint] = positions, velocities
+    return PolynomialPath.through(times, q, dq)
 
 
 def _without(coefficients: Array, direction: Array) -> Array:

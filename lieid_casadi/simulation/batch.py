@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +15,6 @@ from lieid_casadi.compiled.compiled_model import default_threads
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.model_functions import SparseFunction
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.model import Model
 from lieid_casadi.simulation.play import Coordinates, plays_of
 from lieid_casadi.simulation.runs import FARTHEST, STEP, Input, delays_of
 from lieid_casadi.simulation.step import initial_state, step_function
@@ -34,7 +32,6 @@ def simulate_batch(
     interval: float,
     history: int = 0,
     under: Input | None = None,
-    temperature: ArrayLike | None = None,
     threads: int | None = None,
 ) -> tuple[Array, Array]:
     """Integrate many motions at once, each with its own start, inputs and, if wanted, its own arm.
@@ -57,9 +54,7 @@ def simulate_batch(
     history : int
         Number of the inputs that precede the start, which delayed commands need.
     under : {"command", "torque"}, optional
-        What the inputs are; commands if the robot has drives.
-    temperature : (n,), optional
-        °C; the training mean if left out.
+        What the inputs are; commands if the robot has drives. The temperature is that of training.
     threads : int, optional
         That share the motions; two if left out.
 
@@ -94,14 +89,8 @@ def simulate_batch(
     steps = max(1, int(np.ceil(interval / STEP - 1e-9)))
     numbers = np.array([np.concatenate([f.parameters, f.shapes]) for f in given])
     delays = np.array([delays_of(f) for f in given]) if chosen == "command" else np.zeros((1, n))
-    mean = np.zeros(n) if first.temperature_mean is None else first.temperature_mean
     batch = _Batch(
-        _evaluation(_Step(first, chosen == "command")),
-        first,
-        interval / steps,
-        steps,
-        np.asarray(mean if temperature is None else temperature, dtype=float),
-        history,
+        _compiled_step(first, chosen == "command"), first, interval / steps, steps, history
     )
     numbers, delays = (np.broadcast_to(x, (windows, x.shape[1])) for x in (numbers, delays))
     late = np.maximum(delays - 0.5 * interval, 0.0)
@@ -117,35 +106,25 @@ def simulate_batch(
     return path[:, :, :n], path[:, :, d : d + n]
 
 
-@dataclass(frozen=True)
-class _Step:
-    """The step of a model; equal for all fits with the same robot, effects and plays."""
-
-    fit: Fit
-    commanded: bool
-
-    def _key(self) -> tuple[object, ...]:
-        model: Model = self.fit.model
-        effects = tuple(p.label for p in model.placements)
-        mean = self.fit.temperature_mean
-        warm = None if mean is None else mean.tobytes()
-        return id(model.robot), effects, plays_of(self.fit), warm, self.commanded
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Step) and self._key() == other._key()
-
-    def __hash__(self) -> int:
-        return hash(self._key())
+_COMPILED: dict[tuple[object, ...], tuple[Evaluation, Fit]] = {}  # the fit keeps its robot's id
 
 
-@lru_cache(maxsize=STEPS_KEPT)
-def _evaluation(step: _Step) -> Evaluation:
-    """Return the compiled step, or the virtual machine's without a compiler."""
-    drives = step.fit.model.robot.drives if step.commanded else None
-    function = step_function(step.fit, drives, parametric=True)
-    size = function.size1_out(0)
-    rows, columns = np.arange(size), np.zeros(size, dtype=np.intp)
-    return evaluation_of_one("step", SparseFunction(function, rows, columns, (size, 1)))
+def _compiled_step(fit: Fit, commanded: bool) -> Evaluation:
+    """Return the step of all fits with the same robot, effects and plays, compiled once."""
+    model, mean = fit.model, fit.temperature_mean
+    key = (
+        id(model.robot), tuple(p.label for p in model.placements), plays_of(fit),
+        None if mean is None else mean.tobytes(), commanded,
+    )  # fmt: skip
+    if key not in _COMPILED:
+        function = step_function(fit, model.robot.drives if commanded else None, parametric=True)
+        size = function.size1_out(0)
+        rows, columns = np.arange(size), np.zeros(size, dtype=np.intp)
+        sparse = SparseFunction(function, rows, columns, (size, 1))
+        if len(_COMPILED) >= STEPS_KEPT:
+            del _COMPILED[next(iter(_COMPILED))]
+        _COMPILED[key] = evaluation_of_one("step", sparse), fit
+    return _COMPILED[key][0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +135,6 @@ class _Batch:
     fit: Fit
     h: float  # s
     substeps: int  # within an interval
-    temperature: Array  # (n,) °C
     history: int  # inputs that precede the start
 
     def run(self, q: Array, dq: Array, inputs: Array, numbers: Array, late: Array) -> Array:
@@ -171,10 +149,12 @@ class _Batch:
         intervals = len(inputs) - self.history
         path = np.empty((intervals + 1, *state.shape))
         path[0] = state
+        mean = self.fit.temperature_mean
+        warm = np.zeros(n) if mean is None else mean
         values = {
             "state": state,
             "input": np.empty((windows, n)),
-            "temperature": np.tile(self.temperature, (windows, 1)),
+            "temperature": np.tile(warm, (windows, 1)),
             "time": np.empty((windows, 1)),
             "h": np.full((windows, 1), self.h),
             "numbers": np.ascontiguousarray(numbers),

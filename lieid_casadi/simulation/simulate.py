@@ -7,23 +7,19 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.effects.joint_elasticity import JointElasticity
 from lieid_casadi.errors import (
-    IdentificationError,
     LieidError,
     LieidWarning,
     ModelError,
-    NoSolution,
     NotSimulatedWarning,
     RecordingError,
     unique_warnings,
     warning_list,
 )
-from lieid_casadi.identification import identify
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
@@ -99,18 +95,12 @@ class Simulation:
         At the ends of the windows.
     nominal : Drift or None
         The same of the robot's description: stated inertias, no effects; None if it states none.
-    refitted : Drift or None
-        The same of the fit's model, identified again from ``refitted_to``.
-    without : tuple of (str, Drift)
-        The same of the models without one effect of the fit each, identified again.
     rms_whole : (n,)
         RMS error over whole segments that are simulated from their start, rad.
     t : (K,)
         Time of the instants in windows, s.
     q, dq : (K, n)
         Simulated motion, restarted from the measured one at the start of every window.
-    refitted_to : tuple of Source
-        Recordings from which these models were identified.
     recordings : tuple of Source
     warnings : tuple of LieidWarning
     """
@@ -121,13 +111,10 @@ class Simulation:
     windows: int
     drift: Drift
     nominal: Drift | None
-    refitted: Drift | None
-    without: tuple[tuple[str, Drift], ...]
     rms_whole: Array
     t: Array
     q: Array
     dq: Array
-    refitted_to: tuple[Source, ...]
     recordings: tuple[Source, ...]
     warnings: tuple[LieidWarning, ...]
 
@@ -141,16 +128,28 @@ class Simulation:
             **self.drift.to_dict(),
             "nominal": None if self.nominal is None else self.nominal.to_dict(),
             "rms_whole": numbers_or_none(self.rms_whole),
-            "refitted": None if self.refitted is None else self.refitted.to_dict(),
-            "without": [{"effect": name, **drift.to_dict()} for name, drift in self.without],
-            "refitted_to": [r.to_dict() for r in self.refitted_to],
             "recordings": [r.to_dict() for r in self.recordings],
             "warnings": warning_list(self.warnings),
         }
 
     def plot(self, ax: Axes | None = None) -> Figure:
-        """Draw the RMS drift per joint, with and without each effect, and return the figure."""
-        return _draw(self, ax)
+        """Draw the RMS drift of each joint, and that of the nominal model; return the figure."""
+        from matplotlib.figure import Figure
+
+        if ax is None:
+            size = 1.8 + 0.9 * len(self.joint_names), 3.4
+            ax = Figure(figsize=size, layout="constrained").subplots()
+        places = np.arange(1, len(self.joint_names) + 1)
+        if self.nominal is not None:
+            ax.plot(places, np.degrees(self.nominal.rms), "o", mfc="none", label="nominal model")
+        ax.errorbar(places, np.degrees(self.drift.rms), np.degrees(self.drift.std), fmt="D",
+                    color="black", label="fit")  # fmt: skip
+        ax.set(yscale="log", xticks=places, xlabel="joint")
+        ax.set_ylabel(f"RMS drift after {self.window:g} s, deg")
+        ax.legend(fontsize="small")
+        drawn = ax.get_figure(root=True)
+        assert drawn is not None
+        return drawn
 
     def _repr_html_(self) -> str:
         return html(drift_table(self))
@@ -162,6 +161,7 @@ class Simulation:
 
 WINDOW = 1.0  # s
 MOST_WINDOWS = 60
+LEAST_ERROR = 1e-4  # rad, below which an error in position does not count
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +174,6 @@ class WindowDrift:
     windows: int  # number of windows that were simulated
     drift: Drift  # at the ends of the windows, rad; NaN if there is none
     reason: str  # why there is no simulation; empty if there is one
-
-    @property
-    def degrees(self) -> NDArray[np.float64]:
-        """RMS of simulated minus measured position per joint (n,), deg."""
-        return np.degrees(self.drift.rms)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry ``simulation`` of ``lieid compare --json``; angles in rad."""
@@ -204,21 +199,67 @@ def window_drift(
     """
     names = tuple(joint.name for joint in fit.model.robot.joints)
     try:
-        given = listed(recordings)
-        under = input_of(fit, given, None)
-        runs = [run for recording in given for run in runs_of(fit, recording, window, under)]
-        total = sum(run.windows for run in runs)
-        if not total:
-            raise RecordingError(
-                f"no segment of the recordings has the length of a window of {window:g} s"
-            )
-        require_positive_mass_matrix(fit, runs)
-        integrator = Integrator(fit, under)
+        under, (errors,) = _end_errors([fit], listed(recordings), window, most)
     except LieidError as error:
         return WindowDrift(names, window, "", 0, Drift.unknown(len(names)), str(error))
-    every = -(-total // most)
-    errors = np.concatenate([integrator.windows(run, every=every).end_errors for run in runs])
     return WindowDrift(names, window, under, len(errors), Drift.of(errors), "")
+
+
+def _end_errors(
+    fits: Sequence[Fit], recordings: Sequence[Recording], window: float, most: int
+) -> tuple[Input, list[Array]]:
+    """Return the input, and each fit's errors (W, n) at the ends of the first one's windows."""
+    under = input_of(fits[0], recordings, None)
+    runs = [run for recording in recordings for run in runs_of(fits[0], recording, window, under)]
+    total = sum(run.windows for run in runs)
+    if not total:
+        raise RecordingError(
+            f"no segment of the recordings has the length of a window of {window:g} s"
+        )
+    errors, every = [], -(-total // most)
+    for fit in fits:
+        require_positive_mass_matrix(fit, runs)
+        integrator = Integrator(fit, under)
+        errors.append(
+            np.concatenate([integrator.windows(run, every=every).end_errors for run in runs])
+        )
+    return under, errors
+
+
+@dataclass(frozen=True, eq=False)
+class MotionGain:
+    """How much better a second fit predicts the motion of recordings.
+
+    ``before`` and ``after`` are the RMS errors (n,) of the position at the ends of windows, rad;
+    ``fall`` is the mean fall of the squared error, relative to that before, over joints and
+    windows, ``std`` its standard error over the windows.
+    """
+
+    before: Array
+    after: Array
+    fall: float
+    std: float
+
+
+def motion_gain(
+    before: Fit,
+    after: Fit,
+    recordings: Recording | Sequence[Recording],
+    *,
+    window: float = WINDOW,
+    most: int = MOST_WINDOWS,
+) -> MotionGain:
+    """Compare the motion that two fits predict within the same windows (s) of recordings.
+
+    A `LieidError` states why one of them cannot be simulated.
+    """
+    _, errors = _end_errors([before, after], listed(recordings), window, most)
+    squares = [error**2 for error in errors]
+    scale = np.maximum(np.mean(squares[0], axis=0), LEAST_ERROR**2)
+    falls = np.mean((squares[0] - squares[1]) / scale, axis=1)
+    std = float(falls.std(ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else np.inf
+    rms = [np.sqrt(np.mean(square, axis=0)) for square in squares]
+    return MotionGain(rms[0], rms[1], float(falls.mean()), std)
 
 
 INPUTS = {"command": "commanded positions", "torque": "torques"}
@@ -265,44 +306,8 @@ def window_table(drift: WindowDrift) -> Table:
     )
 
 
-def effects_table(simulation: Simulation) -> Table:
-    """Return the drift of each joint of the models without one effect of the fit, in degrees."""
-    s = simulation
-    trained = ", ".join(r.name or "recording" for r in s.refitted_to)
-    rows = [
-        (name, *(_degrees(angle) for angle in drift.rms))
-        for name, drift in (("none", s.refitted or s.drift), *s.without)
-    ]
-    return make_table(
-        f"RMS after {s.window:g} s, deg, of models without one effect, identified from {trained}",
-        ("without", *(f"joint {j + 1}" for j in range(len(s.joint_names)))),
-        rows if s.without else (),
-        note="–: no physically consistent model, or its motion left every range",
-    )
-
-
 def _degrees(angle: float) -> float | None:
     return number_or_none(np.degrees(angle))
-
-
-def _draw(s: Simulation, ax: Axes | None) -> Figure:
-    from matplotlib.figure import Figure
-
-    if ax is None:
-        ax = Figure(figsize=(1.8 + 0.9 * len(s.joint_names), 3.4), layout="constrained").subplots()
-    places = np.arange(1, len(s.joint_names) + 1)
-    for k, (name, drift) in enumerate(s.without):
-        ax.plot(places, np.degrees(drift.rms), "o", mfc="none", color=f"C{k + 1}",
-                label=f"without {name}")  # fmt: skip
-    ax.plot(places, np.degrees(s.drift.rms), "D", color="black", label="model")
-    ax.set_yscale("log")
-    ax.set_xticks(places)
-    ax.set_xlabel("joint")
-    ax.set_ylabel(f"RMS drift after {s.window:g} s, deg")
-    ax.legend(fontsize="small")
-    drawn = ax.get_figure(root=True)
-    assert drawn is not None
-    return drawn
 
 
 def simulate(
@@ -311,8 +316,6 @@ def simulate(
     *,
     window: float = 1.0,
     under: Input | None = None,
-    each_effect: bool = True,
-    train: Recording | Sequence[Recording] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Simulation:
     """Integrate a fit from measured states, under the recordings' commands or torques.
@@ -332,11 +335,6 @@ def simulate(
         Length of the windows, s.
     under : {"command", "torque"}, optional
         The input; commands if the fit has a drive law and the recordings have commands.
-    each_effect : bool
-        Whether to repeat the windows with models that lack one effect of the fit each.
-    train : Recording or sequence of Recording, optional
-        From which these models, and the complete one, are identified by the method ``feasible``;
-        the simulated recordings if left out.
     progress : callable, optional
         Called with a stage's name and the fraction done.
 
@@ -370,13 +368,6 @@ def simulate(
     report("windows", 0.1)
     parts = [integrator.windows(run) for run in runs]
     errors = np.concatenate([part.end_errors for part in parts])
-    without = []
-    labels = sorted({p.effect.label for p in fit.model.placements}) if each_effect else []
-    training = given if train is None else listed(train)
-    refitted = _drift_without("", fit, training, runs) if labels else None
-    for k, label in enumerate(labels):
-        report(f"without {label}", 0.2 + 0.5 * k / len(labels))
-        without.append((label, _drift_without(label, fit, training, runs)))
     report("whole", 0.7)
     whole = np.concatenate([integrator.whole(run) for run in runs])
     report("done", 1.0)
@@ -387,13 +378,10 @@ def simulate(
         windows=len(errors),
         drift=Drift.of(errors),
         nominal=_nominal_drift(fit, runs),
-        refitted=refitted,
-        without=tuple(without),
         rms_whole=np.sqrt(np.mean(whole**2, axis=0)),
         t=np.concatenate([part.t for part in parts]),
         q=np.concatenate([part.q for part in parts]),
         dq=np.concatenate([part.dq for part in parts]),
-        refitted_to=tuple(Source.of(r) for r in training) if each_effect else (),
         recordings=tuple(Source.of(r) for r in given),
         warnings=unique_warnings([*_not_simulated(fit), *warnings]),
     )
@@ -436,22 +424,4 @@ def _nominal_drift(fit: Fit, runs: Sequence[Run]) -> Drift | None:
     except ModelError:
         return Drift.unknown(robot.n)
     integrator = Integrator(nominal, runs[0].under)
-    return Drift.of(np.concatenate([integrator.windows(run).end_errors for run in runs]))
-
-
-def _drift_without(label: str, fit: Fit, train: Sequence[Recording], runs: Sequence[Run]) -> Drift:
-    """Return the drift of the model without an effect, identified again; NaN without a solution.
-
-    An empty label stands for the complete model.
-    """
-    kept = [p for p in fit.model.placements if p.effect.label != label]
-    model = Model.of_placements(fit.model.robot, kept)
-    drives = fit.model.robot.drives
-    complete = [r if r.tau is not None or drives is None else r.with_drives(drives) for r in train]
-    try:
-        refit = identify(model, complete, method="feasible", processing=fit.processing)
-        require_positive_mass_matrix(refit, runs)
-    except (NoSolution, IdentificationError, ModelError):
-        return Drift.unknown(fit.model.n)
-    integrator = Integrator(refit, runs[0].under)
     return Drift.of(np.concatenate([integrator.windows(run).end_errors for run in runs]))

@@ -175,53 +175,6 @@ PLAY = 0.03  # rad
 ROTORS = (0.06, 0.02)  # kg·m²
 
 
-def arm_with_play(seconds=10.0):
-    """Return a recording of MuJoCo's two-link arm, the second motor with play, under PD laws."""
-    upper, lower = (j.home for j in TWO_LINK.joints)
-    place = np.linalg.inv(upper) @ lower
-    assert np.allclose(place[:3, :3], np.eye(3))
-    links = []
-    for mass, *moment, xx, xy, yy, xz, yz, zz in TWO_LINK.link_parameters.reshape(2, 10):
-        com = np.array(moment) / mass
-        inertia = [xx, yy, zz] - mass * (com @ com - com**2)
-        assert np.allclose([xy, xz, yz] + mass * com * np.roll(com, 1), 0.0)
-        numbers = [" ".join(map(str, x)) for x in (com, inertia)]
-        links.append(f'<inertial pos="{numbers[0]}" mass="{mass}" diaginertia="{numbers[1]}"/>')
-    motors = [
-        f'<joint axis="0 0 1" armature="{rotor}" damping="0.4" frictionloss="0.8"/>'
-        for rotor in ROTORS
-    ]
-    dust = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-6 1e-6 1e-6"/>'
-    text = f"""
-    <mujoco>
-      <compiler angle="radian"/>
-      <option timestep="0.0005" integrator="implicitfast"/>
-      <worldbody><body quat="0.70710678 0.70710678 0 0">{links[0]}{motors[0]}
-        <body pos="{" ".join(map(str, place[:3, 3]))}">{dust}{motors[1]}
-          <body>{links[1]}
-            <joint axis="0 0 1" range="{-0.5 * PLAY} {0.5 * PLAY}" solreflimit="0.005 1"/>
-          </body>
-        </body>
-      </body></worldbody>
-    </mujoco>"""
-    model = mujoco.MjModel.from_xml_string(text)
-    data, rows = mujoco.MjData(model), []
-    data.qpos[0] = -1.0
-    for k in range(round(seconds / model.opt.timestep)):
-        t = k * model.opt.timestep
-        if k % 4 == 0:
-            sines = np.sin(np.outer([1.7, 2.3], [t, 2.9 * t]) + np.array([[0.0], [1.0]]))
-            command = [-1.0, -0.6] + sines @ [0.7, 0.25]
-            rows.append([t, *data.qpos[:2], *command])
-        for j, law in enumerate(LAWS):
-            error = command[j] - data.qpos[j]
-            data.qfrc_applied[j] = law.torque(error, data.qvel[j])
-        mujoco.mj_step(model, data)
-    t, *signals = np.array(rows)[round(0.5 / (4 * model.opt.timestep)) :].T
-    q, command = np.column_stack(signals[:2]), np.column_stack(signals[2:])
-    return lieid.Recording.from_arrays(t, q, command=command, name="play.csv")
-
-
 def test_a_motor_with_play_needs_an_inertia():
     arm = plant.demo_arm(TWO_LINK, seed=1, hidden=None)
     drives = [plant.PositionDrive(law.stiffness, law.damping, backlash=0.01) for law in LAWS]
@@ -245,19 +198,7 @@ def test_backlash_is_named():
     assert [(step.effect, step.joints) for step in found.steps[:1]] == [("backlash", (1,))]
     values = {row["name"]: row["value"] for row in found.fit.parameter_table()}
     assert values["backlash.b"] == pytest.approx(PLAY, rel=0.15)
-
-
-@pytest.mark.slow
-def test_backlash_is_the_play_of_an_arm_in_mujoco():
-    """The time and the torque of the link's free flight both show the play."""
-    recording = with_torque(arm_with_play())
-    effects = "coulomb,viscous,armature"
-    plain = lieid.identify(lieid.Model(ROBOT, effects), recording)
-    fit = lieid.identify(lieid.Model(ROBOT, f"{effects},backlash:2"), recording)
-    values = {row["name"]: row["value"] for row in fit.parameter_table()}
-    assert values["backlash.b"] == pytest.approx(PLAY, rel=0.1)
-    assert values["backlash.w"] == pytest.approx(PLAY, rel=0.1)
-    assert fit.rms_cv[1] < 0.7 * plain.rms_cv[1]
+    assert values["backlash.w"] == pytest.approx(PLAY, rel=0.15)
 
 
 @pytest.mark.parametrize("play", [1e-3, 0.02, 0.2])
@@ -304,18 +245,6 @@ def test_the_diagnosis_names_them(runs, change, effect):
     train, test = (with_torque(change(run)) for run in runs)
     found = lieid.diagnose(lieid.Model(ROBOT, BASE), train, test)
     assert [(step.effect, step.joints) for step in found.steps[:1]] == [(effect, (1,))]
-
-
-@pytest.mark.slow
-def test_load_friction_is_named_as_on_arms_with_torque():
-    runs = [
-        with_torque(
-            commanded(measured(TWO_LINK, hidden="load_friction", seed=k, motion=k + 1), LAWS)
-        )
-        for k in range(2)
-    ]
-    found = lieid.diagnose(lieid.Model(ROBOT, BASE), *runs)
-    assert [(step.effect, step.joints) for step in found.steps] == [("load_friction", (1,))]
 
 
 def test_the_delay_of_a_joint_that_hardly_moves_is_that_of_the_hold():

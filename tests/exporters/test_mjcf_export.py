@@ -86,7 +86,6 @@ def test_other_friction_is_approximated_and_the_error_stated():
     about = [note for note in notes if "friction approximated" in note]
     assert [note.split(":")[0] for note in about] == ["joint 2", "joint 3"]
     assert all("RMS error" in note and "% of the friction" in note for note in about)
-    assert any("mujoco_callback" in note for note in notes)
 
 
 def test_the_stated_error_is_that_of_the_friction():

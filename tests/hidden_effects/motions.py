@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.plant import FourierTrajectory, ReferenceTrajectory, point_to_point
-from lieid_casadi.plant.trajectories import Envelope, Waypoints
+from lieid_casadi.plant.trajectories import Envelope, PolynomialPath, moves_between
 from lieid_casadi.robot import Robot
 
 SAMPLE, WIDTH, MARGIN = 1e-3, 0.01, 0.06  # s: of smoothed motions, and what is added at the ends
@@ -57,12 +57,12 @@ def chain(robot: Robot, motions: Sequence[ReferenceTrajectory]) -> Chain:
     return Chain(tuple(parts), (0.0, *map(float, ends[:-1])))
 
 
-def _move(envelope: Envelope, a: Array, b: Array) -> Waypoints:
+def _move(envelope: Envelope, a: Array, b: Array) -> PolynomialPath:
     way = np.abs(b - a)
     by_velocity = 15.0 / 8.0 * way / (0.6 * envelope.velocity)
     by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / envelope.acceleration)
     time = max(float(np.maximum(by_velocity, by_acceleration).max()), 0.5)
-    return Waypoints(np.array([a, b]), np.array([PAUSE]), np.array([time]), time + 2.0 * PAUSE)
+    return moves_between(np.array([a, b]), np.array([time]), PAUSE)
 
 
 class Smoothed:
@@ -102,7 +102,7 @@ def _fourier(robot: Robot, duration: float, random: np.random.Generator) -> Four
     )
 
 
-def _poses(robot: Robot, duration: float, random: np.random.Generator) -> Waypoints:
+def _poses(robot: Robot, duration: float, random: np.random.Generator) -> PolynomialPath:
     """Return moves that last at least ``duration``, with as few poses as that takes."""
     seed, dwell = int(random.integers(2**31)), float(random.uniform(0.1, 0.8))
     speed, poses = float(random.uniform(0.5, 0.95)), 3

@@ -68,9 +68,7 @@ def test_encoder_steps():
 
 
 def test_velocity_from_the_encoder():
-    recording = _measure(
-        Sensors(rate=200.0, counts_per_turn=2**16, velocity="difference", velocity_span=0.01)
-    )
+    recording = _measure(Sensors(rate=200.0, counts_per_turn=2**16, velocity="difference"))
     error = (recording.dq - TRUTH.dq[::5])[2:-2]
     bound = 2 * np.pi / 2**16 / 0.01
     assert np.abs(error).max() <= 1.1 * bound
@@ -97,14 +95,6 @@ def test_coloured_noise_has_its_correlation_time(rate):
     step = recording.t[1] - recording.t[0]
     lag = np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1]
     assert lag == pytest.approx(np.exp(-step / 0.03), abs=0.04)
-
-
-def test_torque_steps():
-    recording = _measure(Sensors(rate=None, torque_step=(0.1, 0.0)))
-    np.testing.assert_allclose(recording.tau[:, 0] % 0.1 % 0.1, 0, atol=0.1 + 1e-9)
-    counts = recording.tau[:, 0] / 0.1
-    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
-    np.testing.assert_array_equal(recording.tau[:, 1], TRUTH.tau[:, 1])
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from scipy.integrate import solve_ivp
 
 from lieid_casadi import robots
 from lieid_casadi.plant import (
-    Control,
     FourierTrajectory,
     LoadFriction,
     PositionFriction,
@@ -17,7 +16,6 @@ from lieid_casadi.plant import (
     demo_sensors,
     move,
     move_along,
-    point_to_point,
     simulate,
 )
 from lieid_casadi.plant.stepper import DriveCommand, Stepper
@@ -164,13 +162,12 @@ def test_signals_are_derivatives_of_one_another():
         assert abs(lag) < 0.02 * H
 
 
-@pytest.mark.parametrize("feedforward", [True, False])
-def test_control_tracks(feedforward):
+def test_control_tracks():
     arm = demo_arm(robots.two_link(), seed=2)
     trajectory = FourierTrajectory(arm.robot, seed=3, base_frequency=0.5)
-    motion = move(arm, trajectory, control=Control(feedforward=feedforward))
+    motion = move(arm, trajectory)
     q, _, _ = trajectory.at(motion.t)
-    assert np.abs(motion.q - q).max() < (0.02 if feedforward else 0.1)
+    assert np.abs(motion.q - q).max() < 0.02
 
 
 def test_torques_stay_within_limits():
@@ -181,25 +178,14 @@ def test_torques_stay_within_limits():
     assert np.any(np.abs(motion.tau) == limit)
 
 
-def test_measuring_along_the_simulated_motion_gives_its_torques():
-    arm = demo_arm(robots.panda(), hidden="load_friction", joint=2)
+@pytest.mark.parametrize("hidden", ["load_friction", "presliding"])
+def test_measuring_along_the_simulated_motion_gives_its_torques(hidden):
+    arm = demo_arm(robots.panda(), hidden=hidden, joint=2)
     motion = move(arm, FourierTrajectory(arm.robot, seed=3, base_frequency=0.2))
     again = move_along(arm, motion.t, motion.q, motion.dq, motion.ddq)
     same = ~motion.resting & ~again.resting
+    same[motion.t < 2.5] = False  # the state of presliding follows from the motion after some way
     np.testing.assert_allclose(again.tau[same], motion.tau[same], atol=1e-6)
-
-
-def test_friction_at_rest_along_a_path_is_constant_within_its_level():
-    arm = demo_arm(robots.panda(), hidden=None)
-    path = point_to_point(arm.robot, poses=3, dwell=1.0, seed=1)
-    t = np.arange(0.0, path.duration, 0.01)
-    motion = move_along(arm, t, *path.at(t), seed=4)
-    first = t < 1.0
-    assert motion.resting[first].all()
-    held = motion.dry[first] / arm.friction.coulomb
-    assert np.ptp(held, axis=0).max() == 0.0
-    assert np.all(np.abs(held) < 1.0)
-    assert np.ptp(held[0]) > 0.1
 
 
 def test_same_seed_same_recording():
@@ -216,5 +202,3 @@ def test_same_seed_same_recording():
     np.testing.assert_array_equal(one.tau, two.tau)
     np.testing.assert_array_equal(one.q, two.q)
     assert np.abs(one.tau - other.tau).max() > 0.0
-    np.testing.assert_array_equal(demo_arm(robots.two_link(), seed=5).parameters, arm.parameters)
-    assert np.abs(demo_arm(robots.two_link(), seed=6).parameters - arm.parameters).max() > 1e-3

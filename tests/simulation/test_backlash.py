@@ -48,7 +48,7 @@ def true_fit(arm, plays):
 
 def drift(arm, run, plays, **options):
     """Return the drift of the simulation with plays (2,), deg per joint."""
-    simulation = lieid.simulate(true_fit(arm, plays), run, each_effect=False, **options)
+    simulation = lieid.simulate(true_fit(arm, plays), run, **options)
     return np.degrees(simulation.drift.rms)
 
 
@@ -89,7 +89,7 @@ def test_an_identified_play_reduces_the_drift():
     for effects in ("", ",backlash:2"):
         model = lieid.Model(ROBOT, f"coulomb,viscous,offset,armature,command_delay{effects}")
         fit = lieid.identify(model, train, method="feasible")
-        drifts.append(lieid.simulate(fit, test, each_effect=False).drift.rms)
+        drifts.append(lieid.simulate(fit, test).drift.rms)
     assert (drifts[1] < 0.6 * drifts[0]).all()
 
 

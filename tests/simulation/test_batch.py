@@ -24,7 +24,7 @@ def test_a_batch_has_the_motion_of_the_windows_of_simulate():
     """MuJoCo's recording in windows of 0.5 s, from the states and with the commands of its rows."""
     fit = fit_of("coulomb,viscous,armature")
     recording = in_mujoco(fit, seconds=3.0)
-    one = lieid.simulate(fit, recording, window=0.5, each_effect=False)
+    one = lieid.simulate(fit, recording, window=0.5)
     length = round(0.5 / np.diff(one.t)[0])
     starts = np.arange(0, len(one.t), length)
     rows = np.searchsorted(recording.t, one.t[starts] + 1e-9)[None] + np.arange(length)[:, None] - 1
@@ -40,9 +40,9 @@ def test_without_a_compiler_the_motion_is_the_same(monkeypatch):
     q = np.full((5, 2), 0.3)
     compiled = simulate_batch(fit, q, 0 * q, inputs, interval=0.002)
     monkeypatch.setattr(kernels.CompilerFailure, "reason", "reported before")
-    lieid.simulation.batch._evaluation.cache_clear()
+    lieid.simulation.batch._COMPILED.clear()
     machine = simulate_batch(fit, q, 0 * q, inputs, interval=0.002)
-    lieid.simulation.batch._evaluation.cache_clear()
+    lieid.simulation.batch._COMPILED.clear()
     np.testing.assert_allclose(compiled, machine, rtol=0, atol=1e-12)
 
 

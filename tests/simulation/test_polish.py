@@ -53,5 +53,5 @@ def test_identify_polishes(tmp_path, capsys):
     assert main([*words, "--method", "feasible", "-o", str(tmp_path / "fit.json")]) == 0
     assert "Polished on the motion" in capsys.readouterr().out
     fit = lieid.Fit.load(tmp_path / "fit.json")
-    drift = lieid.simulate(fit, in_mujoco(fit_of(EFFECTS)), each_effect=False).drift
+    drift = lieid.simulate(fit, in_mujoco(fit_of(EFFECTS))).drift
     assert np.degrees(drift.rms).max() < 0.2
