@@ -29,10 +29,8 @@ DEPTH = 3
 WRONG = 1.0 / 3.0
 #: A joint shows a premise if the correction lowers its error to this part.
 SHOWS = 0.7
-#: The same for stated inertias, and the least part of the arm's rigid torque that they leave
-#: unexplained without the correction: they are never exact, and a tool that they do not contain
-#: changes the torque of the last joints.
-SHOWS_STATED, LEAST_UNEXPLAINED = 0.4, 0.3
+#: The same for stated inertias, which are never exact.
+SHOWS_STATED = 0.4
 #: A finding needs a joint that shows it, and this decrease of the score.
 LEAST_SCORE = -0.6
 #: The same for alternatives without free values, which are then a doubt at most.
@@ -210,7 +208,7 @@ def _strongest(state: _State, report: Progress, depth: int) -> tuple[Finding, Co
     """Return the strongest finding and its correction, or None if nothing is found."""
     base = state.confirmed.base
     explained = match.unexplained(base) or 0.0
-    if np.all(base.relative[0] <= LEAST_BEFORE) and explained <= LEAST_UNEXPLAINED:
+    if np.all(base.relative[0] <= LEAST_BEFORE) and explained <= match.SOUND:
         return None  # no alternative could be confirmed
     screen = state.compared
     scored: list[tuple[float, Alternative]] = []
@@ -252,7 +250,7 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
         ratios = np.maximum(ratios, ratios * after.scale / before.scale)
     clear = score <= LEAST_SCORE
     shown_free = (ratios[0] < SHOWS) & (before.relative[0] > LEAST_BEFORE)
-    unlike = (match.unexplained(before) or 0.0) > LEAST_UNEXPLAINED
+    unlike = (match.unexplained(before) or 0.0) > match.SOUND
     explained = after.relative[-1] < WORSE * after.relative[0]  # as by free inertias: no tool does
     shown_stated = bool(np.any((ratios[1:] < SHOWS_STATED) & (unlike | explained)))
     if not clear or not (shown_free.any() or shown_stated):
@@ -266,24 +264,39 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
     by_stated = _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1])) and (shown_stated or not clear)
     kind = 1 if by_stated else 0
     certain = clear and _ratio(ratios[kind]) <= WRONG and bool(np.all(ratios[kind] < WORSE))
+    if by_stated:  # on one joint alone, less is within the errors of stated inertias
+        shown = ratios[1] < SHOWS_STATED
+        certain &= shown.sum() > 1 or bool(np.any(shown & (before.relative[1] > match.SOUND)))
     return _finding(alternative, before, after, kind, certain=certain and not alternative.small)
 
 
 def _finding(
-    alternative: Alternative, before: Errors, after: Errors, kind: int, *, certain: bool
+    alternative: Alternative,
+    before: Errors,
+    after: Errors,
+    kind: int = 0,
+    *,
+    certain: bool = False,
+    unshown: str = "",
 ) -> Finding:
-    """Return an alternative as a finding, with the errors of the free or the stated fit."""
+    """Return an alternative as a finding, with the errors of the free or the stated fit.
+
+    ``unshown`` is the sentence where the error falls on no joint.
+    """
     ratios = (after.relative / before.relative)[kind]
-    first, last = _of_kind(before, kind), _of_kind(after, kind)
+    first, last = before.rms[kind], after.rms[kind]
     shown = np.flatnonzero(ratios < SHOWS)
-    if not shown.size:
-        shown = np.array([int(np.argmin(ratios))])
+    if shown.size or not unshown:
+        shown = shown if shown.size else np.array([int(np.argmin(ratios))])
+        unshown = (
+            f"{alternative.what} the error of {_joints(shown)} falls from {_numbers(first[shown])} "
+            f"to {_numbers(last[shown])} N·m{' (with the stated inertias)' if kind else ''}."
+        )
     return Finding(
         alternative.premise,
         alternative.joints or _most(ratios),
         alternative.value,
-        f"{alternative.what} the error of {_joints(shown)} falls from {_numbers(first[shown])} "
-        f"to {_numbers(last[shown])} N·m{' (with the stated inertias)' if kind else ''}.",
+        unshown,
         alternative.remedy,
         certain=certain,
         error_before=_rounded(first),
@@ -303,23 +316,14 @@ def _reversed(state: _State) -> tuple[Finding, Correction] | None:
     if not moving.any() or np.sum(driven < 0) < max(1, moving.sum() / 2) or np.any(driven > 0):
         return None
     *_, alternative = joints.directions(state.compared)  # the last one is that of all torques
-    after, stated = state.confirmed.errors(alternative.correction), int(base.stated is not None)
+    after, stated = state.confirmed.errors(alternative.correction), len(base.rms) - 1
     if np.sum(np.log(after.relative[stated] / base.relative[stated])) > 0.0:
         return None
-    finding = _finding(alternative, base, after, stated, certain=True)
-    if finding.ratio == 1.0:
-        what = alternative.what.partition(": with")[0]
-        sentence = f"{what}: friction would drive the joints. Correct it with {finding.remedy}."
-    else:
-        sentence = f"{finding.sentence} With the recorded sign, friction would drive the joints."
+    what = alternative.what.partition(": with")[0]
+    unshown = f"{what}. Correct it with {alternative.remedy}."
+    finding = _finding(alternative, base, after, stated, certain=True, unshown=unshown)
+    sentence = f"{finding.sentence} With the recorded sign, friction would drive the joints."
     return replace(finding, sentence=sentence), alternative.correction
-
-
-def _of_kind(errors: Errors, kind: int) -> Array:
-    """Return the errors (n,) of the free fit, or of that with stated inertias."""
-    if kind == 0 or errors.stated is None:
-        return errors.free.held_out
-    return errors.stated.error
 
 
 def _ratio(ratios: Array) -> float:
@@ -353,30 +357,10 @@ def _velocity(state: _State) -> list[Finding]:
     found = timing.velocity(state.samples)
     if found is None:
         return []
-    bad = replace(state, samples=timing.with_measured_velocity(state.samples)).confirmed.base
-    good = state.confirmed.base
-    before, after = bad.free.held_out, good.free.held_out
-    ratio = _ratio(after / before)
-    shown = np.flatnonzero(after / before < SHOWS)
-    falls = (
-        f" the error of {_joints(shown)} falls from {_numbers(before[shown])} to "
-        f"{_numbers(after[shown])} N·m"
-        if shown.size
-        else " the friction is that of the true velocity"
-    )
-    return [
-        Finding(
-            found.premise,
-            found.joints,
-            found.value,
-            f"{found.what}{falls}.",
-            found.remedy,
-            certain=ratio <= WRONG,
-            error_before=_rounded(before),
-            error_after=_rounded(after),
-            ratio=float(f"{ratio:.3g}"),
-        )
-    ]
+    recorded = replace(state, samples=timing.with_measured_velocity(state.samples))
+    unshown = f"{found.what} the friction is that of the true velocity."
+    finding = _finding(found, recorded.confirmed.base, state.confirmed.base, unshown=unshown)
+    return [replace(finding, certain=(finding.ratio or 1.0) <= WRONG)]
 
 
 def _mismatch(state: _State) -> list[Finding]:
@@ -386,7 +370,7 @@ def _mismatch(state: _State) -> list[Finding]:
     if found is None:
         return []
     certain, part = found
-    before = _of_kind(errors, 1)
+    before = errors.rms[-1]
     basis = "geometry" if errors.stated is None else "geometry and inertias"
     return [
         Finding(

@@ -216,9 +216,14 @@ class Equations:
     count: Array
 
     @cached_property
+    def products(self) -> tuple[Array, Array]:
+        """Matrices (n, p, p) and vectors (n, p) of all parts together."""
+        return self.matrix.sum(axis=1), self.vector.sum(axis=1)
+
+    @cached_property
     def whole(self) -> _Eliminated:
         """All parts together (n, …)."""
-        return _Eliminated.of(self.matrix.sum(axis=1), self.vector.sum(axis=1))
+        return _Eliminated.of(*self.products)
 
     @cached_property
     def instants(self) -> Array:
@@ -229,7 +234,7 @@ class Equations:
         """Return the power (n, F) of the own friction columns, relative to that of the torque."""
         size = np.mean(np.abs(s.tau * s.dq * s.used), axis=0) + 1e-12
         k = self.matrix.shape[-1] - OWN
-        products = self.matrix.sum(axis=1)[:, k + np.array(FRICTION), k + VISCOUS]
+        products = self.products[0][:, k + np.array(FRICTION), k + VISCOUS]
         return np.asarray(products / (size * len(s.t))[:, None])
 
 
@@ -349,7 +354,7 @@ class StatedFit:
 def stated_fit(given: Equations, parameters: Array) -> StatedFit:
     """Return the fit with stated base parameters (k,)."""
     k = len(parameters)
-    vector, matrix = given.vector.sum(axis=1), given.matrix.sum(axis=1)
+    matrix, vector = given.products
     alone = given.square.sum(axis=1) - np.sum(vector[:, k:] * given.whole.start, axis=1)
     size = parameters @ given.whole.matrix @ parameters
     known = size > 1e-10 * (parameters @ matrix[:, :k, :k] @ parameters) + 1e-18

@@ -60,7 +60,7 @@ class Errors:
     """RMS errors (n,) of the plain fits, N·m, and the torque's own RMS about its mean.
 
     ``friction`` (P, n) is the mean power that friction takes from each joint in the fits without
-    one part each, relative to the mean magnitude of the joint's power.
+    one part each, relative to the mean magnitude of the joint's power; 0 of a quick comparison.
     """
 
     free: FreeFit
@@ -77,12 +77,15 @@ class Errors:
         return np.asarray(np.sign(mean) * clear)
 
     @property
+    def rms(self) -> Array:
+        """(1 or 2, n) held-out errors of the free fit and, with stated inertias, theirs, N·m."""
+        free = self.free.held_out
+        return np.array([free] if self.stated is None else [free, self.stated.error])
+
+    @property
     def relative(self) -> Array:
         """(1 or 2, n) errors, free and stated, as parts of the torque."""
-        found = [self.free.held_out] if self.stated is None else [
-            self.free.held_out, self.stated.error
-        ]  # fmt: skip
-        return np.maximum(np.array(found) / self.scale, LEAST_RELATIVE)
+        return np.maximum(self.rms / self.scale, LEAST_RELATIVE)
 
     def score(self, base: Errors) -> float:
         """Return the sum of the logarithms of all errors relative to those of a base."""
@@ -169,8 +172,10 @@ class Screen:
         given = made.equations(s.tau)
         stated = None if self.parameters is None else stated_fit(given, self.parameters)
         fitted = free_fit(given)
-        own = fitted.own_without[:, :, FRICTION]
-        friction = np.einsum("pjk,jk->pj", own, given.own_power(s))
+        friction = np.zeros((1, self.n))
+        if self.parts:
+            own = fitted.own_without[:, :, FRICTION]
+            friction = np.einsum("pjk,jk->pj", own, given.own_power(s))
         return Errors(fitted, stated, s.spread, friction)
 
     def _torque(self, correction: Correction) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import (
@@ -190,10 +191,8 @@ BLOCK_SECONDS, FEWEST_BLOCKS = 0.04, 8
 
 @dataclass(frozen=True, eq=False)
 class _VelocityGains:
-    """Changes (B, n) of q and of the integral of dq over blocks, and how they compare (n,)."""
+    """Size of the integral of dq relative to the change of q, and their correlation, (n,)."""
 
-    way: Array
-    integral: Array
     gain: Array
     correlation: Array
     moving: Mask
@@ -205,16 +204,27 @@ class _VelocityGains:
 
 
 def _velocity_gains(recording: Recording) -> _VelocityGains | None:
-    """Compare dq with q; None without dq or motion."""
+    """Compare dq with q, by their changes over blocks within segments; None without motion."""
     if recording.dq is None:
         return None
-    way, integral = _ways(recording, recording.dq)
-    per_block = np.sqrt(np.mean(way**2, axis=0)) if len(way) else np.zeros(recording.n)
+    size = max(1, round(BLOCK_SECONDS * recording.rate))
+    ways, integrals = [np.empty((0, recording.n))], [np.empty((0, recording.n))]
+    for segment in recording.segments():
+        if len(segment) >= 3 * size and segment.dq is not None:
+            integral = np.asarray(cumulative_trapezoid(segment.dq, segment.t, axis=0, initial=0))
+            ways.append(np.diff(segment.q[::size], axis=0))
+            integrals.append(np.diff(integral[::size], axis=0))
+    way, integral = np.concatenate(ways), np.concatenate(integrals)
+    squares, others = np.sum(way**2, axis=0), np.sum(integral**2, axis=0)
     moving = np.ptp(recording.q, axis=0) > 10.0 * STILL
-    moving &= per_block > 3.0 * resolution(recording.q)
+    moving &= np.sqrt(squares / max(len(way), 1)) > 3.0 * resolution(recording.q)
     if len(way) < FEWEST_BLOCKS or not moving.any():
         return None
-    return _VelocityGains(way, integral, *_gain_and_correlation(way, integral), moving)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        gain = np.sqrt(others / squares)
+        correlation = np.sum(way * integral, axis=0) / np.sqrt(squares * others)
+    # a joint exactly at rest has no gain; it is not among those that move
+    return _VelocityGains(np.nan_to_num(gain, posinf=0.0), np.nan_to_num(correlation), moving)
 
 
 def unit_of_velocity(recording: Recording) -> tuple[str, float] | None:
@@ -250,49 +260,10 @@ def check_velocity(recording: Recording) -> list[LieidWarning]:
     if not wrong.any():
         return []
     details = ", ".join(
-        f"joint {j + 1} (gain {gain[j]:.2g}, correlation {correlation[j]:.2g}"
-        f"{_runs_like(found.way, found.integral, moving, j)})"
+        f"joint {j + 1} (gain {gain[j]:.2g}, correlation {correlation[j]:.2g})"
         for j in np.nonzero(wrong)[0].tolist()
     )
     return [VelocityMismatchWarning(f"{title}: dq is not the derivative of q: {details}")]
-
-
-def _ways(recording: Recording, dq: Array) -> tuple[Array, Array]:
-    """Return changes (B, n) of q over blocks within segments, and those of the integral of dq."""
-    size = max(1, round(BLOCK_SECONDS * recording.rate))
-    ways = [np.empty((0, recording.n))] * 2
-    for segment in recording.segments():
-        if len(segment) >= 3 * size and segment.dq is not None:
-            steps = 0.5 * (segment.dq[1:] + segment.dq[:-1]) * np.diff(segment.t)[:, None]
-            integral = np.vstack([np.zeros((1, segment.n)), np.cumsum(steps, axis=0)])
-            found = (segment.q, integral)
-            ways = [
-                np.vstack([w, np.diff(x[::size], axis=0)]) for w, x in zip(ways, found, strict=True)
-            ]
-    return ways[0], ways[1]
-
-
-def _gain_and_correlation(way: Array, integral: Array) -> tuple[Array, Array]:
-    """Return per joint the ratio of the integral's size to the way's, and their correlation."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        squares, products = np.sum(way**2, axis=0), np.sum(way * integral, axis=0)
-        others = np.sum(integral**2, axis=0)
-        gain = np.sqrt(others / squares)
-        correlation = products / np.sqrt(squares * others)
-    # a joint exactly at rest has no gain; it is not among those that move
-    return np.nan_to_num(gain, posinf=0.0), np.nan_to_num(correlation)
-
-
-def _runs_like(way: Array, integral: Array, moving: Mask, joint: int) -> str:
-    """Return a remark on the joint whose motion this column of dq shows instead."""
-    column = np.repeat(integral[:, [joint]], way.shape[1], axis=1)
-    _, correlation = _gain_and_correlation(way, column)
-    best = int(np.argmax(np.where(moving, np.abs(correlation), 0.0)))
-    if correlation[joint] < -0.9:
-        return ", sign swapped"
-    if best != joint and correlation[best] > 0.95:
-        return f", runs like joint {best + 1}"
-    return ""
 
 
 def check_still(recording: Recording, robot: Robot | None) -> list[LieidWarning]:

@@ -46,7 +46,7 @@ def _flat(value: Any, what: str) -> list[Any]:
     """Return the entries row after row; constants as floats."""
     kind = kind_of_symbols(value)
     if kind == "MX":
-        raise RobotError(f"{what}: MX symbols; expected SX, or Robot.from_screws, which takes both")
+        raise RobotError(f"{what}: MX symbols; expected numbers or SX symbols")
     if kind:
         rows, columns = value.shape
         cells = [value[i, j] for i in range(rows) for j in range(columns)]
@@ -86,7 +86,7 @@ _ROUND_OFF = 1e-15
 def pose(xyz: Any, rpy: Any) -> Geometry:
     """Return the homogeneous matrix (4, 4) of a position (m) and roll, pitch, yaw (rad).
 
-    Both (3,) are numbers or contain scalar SX or MX expressions.
+    Both (3,) are numbers or contain scalar SX expressions.
 
     The rotation is Rz(yaw)·Ry(pitch)·Rx(roll), as in URDF; entries that differ from 0 or ±1
     by round-off alone are exact.

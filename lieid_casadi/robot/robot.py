@@ -106,7 +106,7 @@ class Robot(RobotDescription):
     ) -> Robot:
         """Return the robot of given screws, whose geometry may contain CasADi symbols.
 
-        Screws, homes, tool and gravity take numbers, SX or MX. `lieid_casadi.symbolic` returns
+        Screws, homes, tool and gravity take numbers or SX. `lieid_casadi.symbolic` returns
         functions with the symbols as further inputs, by their names.
 
         Parameters

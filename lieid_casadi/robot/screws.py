@@ -10,9 +10,8 @@ import numpy as np
 
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot.description import STANDARD_GRAVITY, Joint, Limits, RobotDescription
-from lieid_casadi.robot.geometry import Geometry, expressions, geometry, kind_of_symbols, pose
+from lieid_casadi.robot.geometry import Geometry, expressions, geometry, pose
 
-Parts = dict[str, tuple[Any, tuple[int, ...]]]  # what it is → value and shape
 TOLERANCE = 1e-6  # of unit vectors and rotations: seven printed digits
 
 
@@ -37,16 +36,11 @@ def arm_of_screws(
             )
     if not n or len(set(names)) < n:
         raise RobotError(f"robot {name!r}: joints {names}; expected at least one, unique names")
-    parts: Parts = {f"joint {names[j]!r}: screw": (screws[j], (6,)) for j in range(n)}
-    parts |= {f"joint {names[j]!r}: home": (_matrix(homes[j]), (4, 4)) for j in range(n)}
-    parts["tool"] = (np.eye(4) if tool is None else _matrix(tool), (4, 4))
-    parts["gravity"] = (STANDARD_GRAVITY if gravity is None else gravity, (3,))
-    arrays = [geometry(v, shape, what) for what, (v, shape) in _in_sx(parts).items()]
     joints = tuple(
         Joint(
             names[j],
-            arrays[j],
-            arrays[n + j],
+            screws[j],
+            _matrix(homes[j]),
             limits=Limits() if limits is None else limits[j],
             link=None
             if links is None
@@ -54,7 +48,12 @@ def arm_of_screws(
         )
         for j in range(n)
     )
-    arm = RobotDescription(name, joints, gravity=arrays[-1], tool=arrays[-2])
+    arm = RobotDescription(
+        name,
+        joints,
+        gravity=np.array(STANDARD_GRAVITY) if gravity is None else gravity,
+        tool=np.eye(4) if tool is None else _matrix(tool),
+    )
     _check(arm)
     return arm
 
@@ -68,44 +67,6 @@ def _matrix(given: Any) -> Any:
         raise RobotError(f"pose: unknown key {sorted(unknown)[0]!r}; expected xyz, rpy")
     zero = (0.0, 0.0, 0.0)
     return pose(given.get("xyz", zero), given.get("rpy", zero))
-
-
-def _in_sx(parts: Parts) -> Parts:
-    """Replace MX symbols by SX symbols of the same names in all parts at once."""
-    if not any(_has_mx(value) for value, _ in parts.values()):
-        return parts
-    import casadi as ca
-
-    values = [_as_mx(value, shape, what) for what, (value, shape) in parts.items()]
-    symbols = ca.symvar(ca.veccat(*values))
-    try:
-        expand = ca.Function("geometry", symbols, values).expand()
-    except RuntimeError as error:
-        reason = str(error).splitlines()[-1][:100]
-        raise RobotError(f"geometry: MX expressions that SX cannot hold: {reason}") from None
-    made = expand.call([ca.SX.sym(symbol.name(), *symbol.shape) for symbol in symbols])
-    return {
-        what: (value, shape) for (what, (_, shape)), value in zip(parts.items(), made, strict=True)
-    }
-
-
-def _has_mx(value: Any) -> bool:
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return any(_has_mx(item) for item in value)
-    return kind_of_symbols(value) == "MX"
-
-
-def _as_mx(value: Any, shape: tuple[int, ...], what: str) -> Any:
-    import casadi as ca
-
-    if kind_of_symbols(value) == "MX":
-        if value.numel() != int(np.prod(shape)):
-            raise RobotError(f"{what}: shape {value.shape}; expected {shape}")
-        return value
-    if not _has_mx(value):
-        return ca.MX(ca.DM(np.asarray(geometry(value, shape, what), dtype=float)))
-    rows = [list(row) if isinstance(row, (list, tuple, np.ndarray)) else [row] for row in value]
-    return ca.vertcat(*(ca.horzcat(*(ca.MX(x) for x in row)) for row in rows))
 
 
 def _arrays(arm: RobotDescription) -> Iterator[Geometry]:

@@ -64,13 +64,6 @@ def test_several_topics_need_a_choice(tmp_path, arm):
         Recording.load(bag, topic="/right")
 
 
-def test_positions_alone(tmp_path, arm):
-    messages = [(*m[:4], None, None, True) for m in arm_messages(arm)]
-    recording = Recording.load(write(tmp_path / "bag", messages))
-    assert recording.dq is None
-    assert recording.tau is None
-
-
 def test_bad_bags(tmp_path, arm):
     messages = arm_messages(arm)
     bag = write(tmp_path / "good", messages)
@@ -106,9 +99,3 @@ def test_commands_match_joints_by_name(tmp_path, arm):
         assert main(["identify", "two_link", str(recording), *options, "-o", str(fit)]) == 0
     values = [lieid.Fit.load(fit).values for fit in fits]
     np.testing.assert_allclose(values[0], values[1], rtol=1e-6)
-
-
-def test_a_bag_of_other_joints_lists_them(tmp_path, arm):
-    bag = write(tmp_path / "bag", arm_messages(arm))
-    with pytest.raises(RecordingError, match=r"joints a, b.*found shoulder, elbow"):
-        Recording.load(bag, joint_names=["a", "b"])

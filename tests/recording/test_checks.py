@@ -141,18 +141,12 @@ def test_lost_samples_and_gaps(good):
     ("change", "hint"),
     [
         (np.array([[1.0, 0.5]]), "joint 2 (gain 0.5"),
-        (np.array([[1.0, -1.0]]), "joint 2 (gain 1, correlation -1, sign swapped)"),
+        (np.array([[1.0, -1.0]]), "joint 2 (gain 1, correlation -1)"),
     ],
 )
 def test_velocity_of_another_gain_or_sign(good, change, hint):
     text = only(check(replace(good, dq=good.dq * change)), errors.VelocityMismatchWarning)
     assert hint in text
-
-
-def test_velocities_of_other_joints(good):
-    text = only(check(replace(good, dq=good.dq[:, ::-1])), errors.VelocityMismatchWarning)
-    assert "runs like joint 2" in text
-    assert "runs like joint 1" in text
 
 
 def test_noisy_velocity_is_still_the_derivative(good):

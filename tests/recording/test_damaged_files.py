@@ -17,8 +17,7 @@ from recording.planar_arm import measured
 
 from lieid_casadi.errors import RecordingError, UnknownColumnWarning
 from lieid_casadi.recording import Recording
-from lieid_casadi.recording.readers import csv_file, parquet_file
-from lieid_casadi.recording.readers.columns import measurement_of_columns
+from lieid_casadi.recording.readers import csv_file
 
 
 @pytest.fixture(scope="module")
@@ -179,35 +178,7 @@ def test_damaged_quotes_are_located(tmp_path):
     assert "line 4, column q1: found '3x', expected a number" in refused(tmp_path / "run.csv")
 
 
-def test_a_line_without_end_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(csv_file, "LONGEST_LINE", 1000)
-    (tmp_path / "run.csv").write_text("t,q1\n" + "1" * 2000)
-    assert "line 2: found more than 1000 characters" in refused(tmp_path / "run.csv")
-
-
 # -- the registry ---------------------------------------------------------------------
-
-
-def test_an_unknown_suffix_lists_those_that_are_read(tmp_path):
-    (tmp_path / "run.xls").write_text("")
-    assert ".csv, .csv.gz, .npz, .parquet" in refused(tmp_path / "run.xls")
-
-
-def test_columns_of_unequal_length_are_refused():
-    """A damaged Parquet file can hold them; found by the fuzzer."""
-    columns = {"t": np.arange(5.0), "q1": np.zeros(4), "tau1": np.zeros(5)}
-    with pytest.raises(RecordingError, match=r"column q1: found 4 values and 5 times"):
-        measurement_of_columns(columns, "run.parquet", 1)
-
-
-def test_damaged_names_of_a_parquet_file(tmp_path, monkeypatch):
-    """pyarrow raises UnicodeDecodeError for them; found by the fuzzer."""
-
-    def undecodable(_file):
-        raise UnicodeDecodeError("utf-8", b"\x80", 0, 1, "invalid start byte")
-
-    monkeypatch.setattr(pyarrow.parquet, "read_metadata", undecodable)
-    assert parquet_file.decoded_bytes(tmp_path / "run.parquet") == 0
 
 
 HEADER = "t,q1,q2,tau1,tau2"

@@ -7,7 +7,8 @@ import gzip
 import io
 import zlib
 from collections.abc import Iterator
-from itertools import chain
+from dataclasses import replace
+from itertools import chain, islice
 from pathlib import Path
 from typing import IO, Any
 
@@ -15,14 +16,16 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import atomic_binary
-from lieid_casadi.errors import LieidError, RecordingError
+from lieid_casadi.errors import RecordingError
 from lieid_casadi.messages import shortened
 from lieid_casadi.recording.measurement import Measurement
 from lieid_casadi.recording.readers.columns import (
     EXPECTED,
+    LABEL,
     ColumnLayout,
     columns_of,
     layout_warnings,
+    measurement_of_columns,
     read_layout,
     signal_names,
 )
@@ -47,28 +50,30 @@ def read_csv(file: Path, options: ReadOptions) -> Measurement:
     where = f"{file}: line {number}"
     names, assumed = signal_names(header, where, options.columns, options.joint_names)
     layout = read_layout(names, where, options.n)
-    matrix, labels, mended = _parse(file, header, layout, limit)
+    rows = _Rows(file, header, layout, limit)
+    try:
+        matrix = _parse(rows, layout)
+    except ValueError as error:
+        if isinstance(error, RecordingError):
+            raise
+        raise _locate(file, header, layout, limit) from None
     if len(matrix) < 2:
         found = "one row" if len(matrix) else "no rows"
         raise RecordingError(f"{file}: found {found} below the header, expected at least two")
-    column = {index: place for place, index in enumerate(_numeric(layout))}
-    signals: dict[str, Any] = {
-        field: matrix[:, [column[i] for i in indices]] for field, indices in layout.fields.items()
-    }
-    measurement = Measurement(
-        t=matrix[:, 0],
-        payload_label=labels,
+    columns: dict[str, Any] = dict(zip(layout.used(names), matrix.T, strict=False))
+    if layout.label is not None:
+        columns[LABEL] = rows.labels
+    measurement = replace(
+        measurement_of_columns(columns, str(file)),
         name=file.name,
         source_hash=hash_of_file(file),
         warnings=(*assumed, *layout_warnings(layout, file.name)),
-        **signals,
     )
     repaired, fault = without_damaged_rows(measurement)
-    if fault is not None and mended:
+    if fault is not None and rows.mended:
         raise _locate(file, header, layout, limit)
     if fault is not None and fault.row is not None:
-        rows = (number for number, _ in numbered_lines(file, limit))
-        bad_line = [number for number, _ in zip(rows, range(fault.row + 2), strict=False)][-1]
+        bad_line, _ = next(islice(numbered_lines(file, limit), fault.row + 1, None))
         raise RecordingError(f"{file}: line {bad_line}, column {fault.column}: {fault}")
     return repaired
 
@@ -124,76 +129,46 @@ def _numeric(layout: ColumnLayout) -> list[int]:
     return [layout.time, *(i for indices in layout.fields.values() for i in indices)]
 
 
-class _RowFault(LieidError):
-    """A row that does not fit the header; located by reading the file again."""
+class _Rows:
+    """The rows below the header as lines of numbers; the payload's labels are in ``labels``."""
+
+    def __init__(self, file: Path, header: list[str], layout: ColumnLayout, limit: int) -> None:
+        self._source, self._columns, self._label = (file, limit), len(header), layout.label
+        self.labels: list[str] = []
+        self.mended = False  # whether empty cells, and rows that end early, were read as NaN
+
+    def __iter__(self) -> Iterator[str]:
+        lines = numbered_lines(*self._source)
+        next(lines)  # the header
+        for _, line in lines:
+            full = self._label is None and line.count(",") + 1 == self._columns
+            ends = line[0] != "," and line[-1] != ","
+            plain = full and ends and not any(text in line for text in (",,", '"', " "))
+            yield line if plain else self._mended(line)
+
+    def _mended(self, line: str) -> str:
+        """Return a row with NaN in empty cells, and in all cells if it ends early."""
+        cells = _cells(line)
+        if cells is None or len(cells) > self._columns:
+            raise ValueError
+        if self._label is not None:
+            self.labels.append(cells[self._label].strip() if self._label < len(cells) else "")
+        if len(cells) < self._columns:
+            cells = [""] * self._columns
+        if self._label is not None:
+            cells[self._label] = "0"
+        self.mended |= not all(cell.strip() for cell in cells)
+        return ",".join(cell if cell.strip() else "nan" for cell in cells)
 
 
-def _parse(
-    file: Path, header: list[str], layout: ColumnLayout, limit: int
-) -> tuple[Array, tuple[str, ...] | None, bool]:
-    """Return the numbers (N, columns) in the order of `_numeric`, and the payload's labels.
-
-    The last value is whether empty cells, and rows that end early, were read as NaN.
-    """
-    for mend in (False, True):
-        labels: list[str] = []
-        try:
-            source = _rows(file, header, layout, limit, labels, mend)
-            first = next(source, None)
-            if first is None:
-                return np.empty((0, len(_numeric(layout)))), None, False
-            matrix = np.loadtxt(
-                chain([first], source),
-                delimiter=",",
-                comments=None,
-                quotechar='"',
-                usecols=_numeric(layout),
-                ndmin=2,
-            )
-        except LieidError as error:
-            if not isinstance(error, _RowFault):
-                raise
-        except ValueError:
-            pass
-        else:
-            if len(matrix) == len(labels):
-                return matrix, None if layout.label is None else tuple(labels), mend
-    raise _locate(file, header, layout, limit)
-
-
-def _rows(
-    file: Path, header: list[str], layout: ColumnLayout, limit: int, labels: list[str], mend: bool
-) -> Iterator[str]:
-    """Yield the rows below the header and append the label of each."""
-    lines = numbered_lines(file, limit)
-    next(lines)  # the header
-    commas: int | None = None
-    for _, line in lines:
-        if mend:
-            line = _mended(line, len(header))
-        label = ""
-        if layout.label is not None:
-            cells = _cells(line)
-            if cells is None or len(cells) != len(header):
-                raise _RowFault
-            label = cells[layout.label].strip()
-        else:
-            here = line.count(",")
-            commas = here if commas is None else commas
-            if here != commas:
-                raise _RowFault
-        labels.append(label)
-        yield line
-
-
-def _mended(line: str, columns: int) -> str:
-    """Return a row with NaN in empty cells, and in all cells if it ends early."""
-    cells = line.split(",")
-    if '"' in line or len(cells) > columns:
-        raise _RowFault
-    if len(cells) < columns:
-        cells = [""] * columns
-    return ",".join(cell if cell.strip() else "nan" for cell in cells)
+def _parse(rows: _Rows, layout: ColumnLayout) -> Array:
+    """Return the numbers (N, columns) in the order of `_numeric`."""
+    source = iter(rows)
+    first = next(source, None)
+    if first is None:
+        return np.empty((0, len(_numeric(layout))))
+    lines = chain([first], source)
+    return np.loadtxt(lines, delimiter=",", comments=None, usecols=_numeric(layout), ndmin=2)
 
 
 def _locate(file: Path, header: list[str], layout: ColumnLayout, limit: int) -> RecordingError:

@@ -45,30 +45,12 @@ def read_npz(file: Path, options: ReadOptions) -> Measurement:
     if file.stat().st_size == 0:
         raise RecordingError(f"{file}: found an empty file, expected {EXPECTED}")
     with library_errors(file, "an NPZ of plain arrays"):
-        arrays, unknown, assumed = _arrays(file, options)
-    numbered = {name: x for name, x in arrays.items() if name not in ("t", LABEL, *FIELDS)}
-    warnings: tuple[LieidWarning, ...] = assumed
+        arrays, unknown, warnings = _arrays(file, options)
+        made = measurement_of_columns(_columns(arrays), str(file), options.n)
     if unknown:
-        warnings += (
-            UnknownColumnWarning(
-                f"{file.name}: arrays with unknown names ignored: {names_text(unknown)}"
-            ),
-        )
-    if numbered:
-        columns = measurement_of_columns(_columns(arrays), str(file), options.n)
-        return replace(columns, name=file.name, source_hash=hash_of_file(file), warnings=warnings)
-    q = arrays["q"]
-    if options.n is not None and q.ndim == 2 and q.shape[1] != options.n:
-        raise RecordingError(f"{file}: found {q.shape[1]} joints in q, expected {options.n}")
-    label = arrays.get(LABEL)
-    return Measurement(
-        t=arrays["t"],
-        payload_label=None if label is None else tuple(str(x) for x in np.ravel(label)),
-        name=file.name,
-        source_hash=hash_of_file(file),
-        warnings=warnings,
-        **{field: arrays[prefix] for prefix, field in FIELDS.items() if prefix in arrays},
-    )
+        text = f"{file.name}: arrays with unknown names ignored: {names_text(unknown)}"
+        warnings += (UnknownColumnWarning(text),)
+    return replace(made, name=file.name, source_hash=hash_of_file(file), warnings=warnings)
 
 
 def write_npz(measurement: Measurement, file: Path) -> None:

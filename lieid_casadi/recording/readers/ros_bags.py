@@ -158,18 +158,16 @@ def _topic(file: Path, reader: Any, topic: str | None) -> str:
     return topics[0]
 
 
-_PIECE = 1 << 20
 _CHUNK = 0x06  # MCAP's opcode
 
 
 def require_bounded(file: Path, limit: int) -> None:
     """Refuse a bag, or a folder with one, whose chunks inflate beyond the limit."""
-    parts = sorted(file.iterdir()) if file.is_dir() else [file]
-    total = 0
-    for part in parts:
+    left = limit
+    for part in sorted(file.iterdir()) if file.is_dir() else [file]:
         for compression, data in _chunks(part):
-            total += _inflated_bytes(data, compression, limit - total)
-            if total > limit:
+            left -= _inflated_bytes(data, compression, left + 1)
+            if left < 0:
                 raise beyond_limit(file, limit)
 
 
@@ -212,43 +210,22 @@ def _ros1_chunks(data: mmap) -> Iterator[tuple[str, bytes]]:
         place = start + size
 
 
-def _inflated_bytes(data: bytes, compression: str, limit: int) -> int:
-    """Return the inflated size, counted up to just beyond the limit; 0 of damaged data."""
-    new = _decompressors().get(compression)
-    total = 0
-    while new is not None and data and total <= limit:
-        stream = new()
-        piece = _next_piece(stream, data)
-        while piece and total <= limit:
-            total += len(piece)
-            piece = b"" if stream.eof or stream.needs_input else _next_piece(stream, b"")
-        data = stream.unused_data if stream.eof else b""
-    return total
-
-
-def _next_piece(stream: Any, data: bytes) -> bytes:
-    """Return up to a mebibyte of output; nothing where the data is damaged."""
-    try:
-        piece: bytes = stream.decompress(data, max_length=_PIECE)
-    except (OSError, ValueError, RuntimeError, EOFError, _zstd().ZstdError):
-        return b""
-    return piece
-
-
-def _decompressors() -> dict[str, Callable[[], Any]]:
+def _inflated_bytes(data: bytes, compression: str, most: int) -> int:
+    """Return the inflated size, counted up to ``most``; 0 of damaged data."""
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
-    return {
-        "bz2": bz2.BZ2Decompressor,
-        "lz4": LZ4FrameDecompressor,
-        "zstd": _zstd().ZstdDecompressor,
-    }
-
-
-def _zstd() -> Any:
-    """Return the module for Zstandard that rosbags uses."""
-    if sys.version_info >= (3, 14):
+    if sys.version_info >= (3, 14):  # the module for Zstandard that rosbags uses
         from compression import zstd
     else:
         from backports import zstd
-    return zstd
+    streams: dict[str, Callable[[], Any]] = {
+        "bz2": bz2.BZ2Decompressor,
+        "lz4": LZ4FrameDecompressor,
+        "zstd": zstd.ZstdDecompressor,
+    }
+    if compression not in streams:
+        return 0
+    try:
+        return len(streams[compression]().decompress(data, max_length=most))
+    except (OSError, ValueError, RuntimeError, EOFError, zstd.ZstdError):
+        return 0
