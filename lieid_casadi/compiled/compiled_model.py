@@ -142,7 +142,7 @@ class Compiled:
 
     For effects with memory the samples are one segment, in order, from its first one. Effects on
     the whole arm or on the measurement do not follow from the signals of one joint: models with
-    such an effect are refused (use `Fit.torque`), or, with ``joint_effects_only``, the other
+    such an effect are refused (use `lieid.symbolic`), or, with ``joint_effects_only``, the other
     effects are evaluated alone. Every method raises `ModelError` for arrays of the wrong shape or
     kind.
     """
@@ -298,7 +298,7 @@ class Compiled:
         if labels and not joint_effects_only:
             raise ModelError(
                 f"{', '.join(labels)}: effects on the whole arm or on the measurement do not "
-                "follow from the signals of one joint; use Fit.torque or lieid.symbolic, or pass "
+                "follow from the signals of one joint; use lieid.symbolic, or pass "
                 "joint_effects_only=True where the function takes it"
             )
         unknown = given.keys() - EffectCall.__annotations__.keys()

@@ -1,8 +1,7 @@
 """Identification: fits of a model's parameters to recordings."""
 
 from lieid_casadi.identification.feasible.certificate import Certificate
-from lieid_casadi.identification.feasible.problem import FeasibleOptions
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.identify import identify
 
-__all__ = ["Certificate", "FeasibleOptions", "Fit", "identify"]
+__all__ = ["Certificate", "Fit", "identify"]

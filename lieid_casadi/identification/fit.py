@@ -8,26 +8,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import norm
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.dynamics.lie import Motion
-from lieid_casadi.effects import ArmEffect
-from lieid_casadi.errors import IdentificationError, LieidWarning, ModelError, warning_list
-from lieid_casadi.expressions.torque import ArmInstant, arm_effect_columns
+from lieid_casadi.errors import IdentificationError, LieidWarning, warning_list
 from lieid_casadi.identification.feasible.certificate import Certificate
 from lieid_casadi.identification.fit_file import file_content, read_fields
 from lieid_casadi.identification.prediction import (
-    on_recording_times,
     predict_recording,
     relative_temperature,
     torque_along,
-    torque_slopes,
 )
 from lieid_casadi.identification.recording_checks import Provenance, check_joints
 from lieid_casadi.identification.regression.least_squares import Conditioning
@@ -44,17 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NORMAL_95 = 1.96  # standard deviations of a normal distribution within 95 %
-
-
-@dataclass(frozen=True, eq=False)
-class PredictionBand:
-    """Torque with its uncertainty, (N, n) each, N·m."""
-
-    torque: Array  # as `Fit.predict` returns it
-    lower: Array  # with `upper`, contains a measured sample with probability ``level`` …
-    upper: Array  # … if the model is correct
-    parameter_std: Array  # standard deviation due to that of the parameters alone
-    level: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,103 +159,6 @@ class Fit:
             self.shapes,
             self.temperature_mean,
         )
-
-    def torque(
-        self,
-        q: ArrayLike,
-        dq: ArrayLike,
-        ddq: ArrayLike,
-        *,
-        temperature: ArrayLike | None = None,
-        time: ArrayLike | None = None,
-    ) -> Array:
-        """Return the torque (N, n) at samples: the rigid torque and every effect, N·m.
-
-        No filter and no dead zone is applied. For effects with memory the samples are one
-        segment, in order.
-
-        Parameters
-        ----------
-        q, dq, ddq : (N, n)
-            rad, rad/s, rad/s² (m for a sliding joint).
-        temperature : (N, n), optional
-            °C; for effects of the temperature.
-        time : (N,), optional
-            s; for effects of time and effects with memory.
-
-        Raises
-        ------
-        ModelError
-            A signal that an effect needs is not given, or an effect depends on the motion before
-            the instant (a delay, an elastic joint).
-        """
-        q, dq, ddq = (np.atleast_2d(np.asarray(x, dtype=float)) for x in (q, dq, ddq))
-        for name, given in (("temperature", temperature), ("time", time)):
-            needing = [p.label for p in self.model.placements if name in p.effect.signals]
-            if needing and given is None:
-                raise ModelError(f"{', '.join(needing)}: expected {name}= beside the motion")
-        if temperature is not None and self.temperature_mean is not None:
-            temperature = np.asarray(temperature, dtype=float) - self.temperature_mean
-        load = self.compiled.inverse_dynamics(q, dq, ddq, self.link_parameters)
-        torque = load + self.compiled.effect_torque(
-            q,
-            dq,
-            ddq,
-            self.effect_coefficients,
-            load=load,
-            temperature=temperature,
-            time=time,
-            shapes=self.shapes,
-            joint_effects_only=True,
-        )
-        if not any(isinstance(p.effect, ArmEffect) for p in self.model.placements):
-            return np.asarray(torque)
-        change = self._arm_effect_torque(*(x.T for x in (q, dq, ddq, load, torque)))
-        return np.asarray(torque + change.full().T)
-
-    @cached_property
-    def _arm_effect_torque(self) -> ca.Function:
-        """``(q, dq, ddq, load, torque) -> change`` of effects not on single joints."""
-        symbols = [ca.SX.sym(x, self.model.n) for x in ("q", "dq", "ddq", "load", "torque")]
-        links, coefficients = (
-            ca.SX(ca.DM(x)) for x in (self.link_parameters, self.effect_coefficients)
-        )
-        motion = Motion.of(*symbols[:3])
-        arm = ArmInstant(self.model.robot, motion, links, symbols[3], symbols[4])
-        columns = [
-            arm_effect_columns(self.model, arm, coefficients, measurement=measurement)
-            for measurement in (False, True)
-        ]
-        change = ca.densify(ca.mtimes(columns[0] + columns[1], coefficients))
-        return ca.Function("arm_effect_torque", symbols, [change], {"cse": True})
-
-    def predict_band(self, recording: Recording, *, level: float = 0.95) -> PredictionBand:
-        """Return the torque with bounds that contain a measured sample with probability ``level``.
-
-        The bounds include the uncertainty of base and shape parameters (to first order) and noise
-        of the size of the unfiltered training error.
-
-        Raises
-        ------
-        ModelError
-            A recording with another number of joints, or a level outside 0 to 1.
-        """
-        if not 0.0 < level < 1.0:
-            raise ModelError(f"level is {level}, expected a probability between 0 and 1")
-        self.check_joints(recording)
-
-        def torque_and_variance(segment: Processed) -> Array:
-            torque, slopes = torque_slopes(self.compiled, segment, self.parameters, self.shapes)
-            variance = np.einsum("knp,pq,knq->kn", slopes, self.covariance, slopes, optimize=True)
-            return np.hstack([torque, variance])
-
-        both = on_recording_times(
-            recording, self.processing, self.temperature_mean, torque_and_variance, 2 * self.model.n
-        )
-        torque, variance = np.hsplit(both, 2)
-        variance = np.maximum(variance, 0.0)  # rounding
-        half = norm.ppf(0.5 + 0.5 * level) * np.sqrt(variance + self.rms_train_raw**2)
-        return PredictionBand(torque, torque - half, torque + half, np.sqrt(variance), level)
 
     def sample(
         self,

@@ -15,7 +15,6 @@ from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import IdentificationError, LieidWarning, unique_warnings
 from lieid_casadi.identification import fit_warnings
 from lieid_casadi.identification.feasible.feasible_fit import certify, make_feasible
-from lieid_casadi.identification.feasible.problem import FeasibleOptions
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import center_temperature, training_rms
 from lieid_casadi.identification.recording_checks import (
@@ -64,7 +63,7 @@ def identify(
     *,
     method: Method = "wls",
     processing: Processing | None = None,
-    feasible: FeasibleOptions | None = None,
+    regularization: float | None = None,
     held_shapes: ArrayLike | None = None,
     progress: Progress | None = None,
 ) -> Fit:
@@ -82,8 +81,10 @@ def identify(
         physically consistent inertias, dissipative friction, and coefficients within their bounds.
     processing : Processing, optional
         Filter options; the cut-off is chosen from the spectrum if not stated.
-    feasible : FeasibleOptions, optional
-        Bounds on masses and centres of mass, and further options of the method ``feasible``.
+    regularization : float, optional
+        Of the method ``feasible``: weight of the divergence from the nominal bodies, relative to
+        the mean squared error in units of the joints' noise; chosen by cross-validation if not
+        given.
     held_shapes : (s,), optional
         Values of the shape parameters, NaN for those that the recordings give; shape parameters
         are searched over their whole ranges if left out.
@@ -125,7 +126,7 @@ def identify(
     """
     model, given = as_model(model), listed(recordings)
     report = progress or (lambda stage, fraction: None)
-    _check_method(method, feasible)
+    _check_method(method, regularization)
     if held_shapes is not None and np.shape(held_shapes) != (len(model.shapes),):
         labels = ", ".join(shape.label for shape in model.shapes) or "no shape parameters"
         raise IdentificationError(
@@ -137,7 +138,7 @@ def identify(
         compiled,
         segments,
         method=method,
-        feasible=feasible,
+        regularization=regularization,
         held_shapes=None if held_shapes is None else np.asarray(held_shapes, dtype=float),
         temperature_mean=mean,
         provenance=_provenance(given),
@@ -155,7 +156,7 @@ def identify_segments(
     method: Method = "wls",
     temperature_mean: Array | None = None,
     provenance: Provenance | None = None,
-    feasible: FeasibleOptions | None = None,
+    regularization: float | None = None,
     held_shapes: Array | None = None,
     uncertainty: bool = True,
     known: Sequence[FilteredColumns] | None = None,
@@ -188,7 +189,7 @@ def identify_segments(
     estimate: Estimate = lambda factor: solve(factor).values  # noqa: E731
     certificate = None
     if method == "feasible":
-        consistent = make_feasible(design, state, folds, feasible or FeasibleOptions(), report)
+        consistent = make_feasible(design, state, folds, regularization, report)
         rms_wls, state, estimate = rms, consistent.state, consistent.estimate
         rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
         certificate = certify(design, consistent, rms, rms_wls)
@@ -245,15 +246,15 @@ def _prepared(
     return compiled, segments, mean, found
 
 
-def _check_method(method: str, feasible: FeasibleOptions | None) -> None:
+def _check_method(method: str, regularization: float | None) -> None:
     if method not in METHODS:
         raise IdentificationError(
             f"unknown method {method!r}; expected one of {', '.join(METHODS)}"
         )
-    if feasible is not None and method != "feasible":
+    if regularization is not None and not (method == "feasible" and 0.0 < regularization < np.inf):
         raise IdentificationError(
-            f"options of method feasible were given with method {method!r}; "
-            "expected method='feasible'"
+            f"regularization is {regularization} with method {method!r}; expected a number above 0 "
+            "with method='feasible'"
         )
 
 

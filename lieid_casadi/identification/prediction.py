@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +16,6 @@ from lieid_casadi.identification.regression.segment_columns import effect_signal
 from lieid_casadi.recording.processed import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording
 
-STEP = 1e-4  # of a shape's size, for the torque's slope
 HIGHEST_CUTOFF = 0.4  # of the recording's rate
 FEWEST_SAMPLES = 5  # of a segment that can be filtered
 
@@ -40,24 +39,6 @@ def torque_along(
     signals: dict[str, Any] = effect_signals(segment, shapes, rigid)
     motion = segment.q, segment.dq, segment.ddq
     return rigid + compiled.effect_torque(*motion, coefficients, **signals, joint_effects_only=True)
-
-
-def torque_slopes(
-    compiled: Compiled, segment: Processed, parameters: Array, shapes: Array
-) -> tuple[Array, Array]:
-    """Return the torque (K, n) and its derivatives (K, n, p + s) by base values and shapes."""
-    base = compiled.model.base
-    columns = compiled.rigid_base_regressor(segment.q, segment.dq, segment.ddq)
-    effects = effects_along(compiled, segment, shapes, parameters, fitted=False)
-    kept = base.kept - 10 * compiled.n
-    columns[:, :, kept >= 0] = effects[:, :, kept[kept >= 0]]
-    here = torque_along(compiled, segment, parameters, shapes)
-    for k, size in enumerate(shapes):
-        moved = shapes.copy()
-        moved[k] += STEP * max(abs(size), STEP)
-        slope = (torque_along(compiled, segment, parameters, moved) - here) / (moved[k] - size)
-        columns = np.concatenate([columns, slope[:, :, None]], axis=2)
-    return here, columns
 
 
 def training_rms(
@@ -85,42 +66,25 @@ def predict_recording(
     temperature_mean: Array | None = None,
 ) -> Array:
     """Return the torque (N, n) at the recording's own times, N·m, finite in every row."""
-
-    def torque(segment: Processed) -> Array:
-        with np.errstate(over="ignore", invalid="ignore"):  # checked below
-            return torque_along(compiled, segment, parameters, shapes)
-
-    found = on_recording_times(recording, processing, temperature_mean, torque, compiled.n)
-    finite = np.isfinite(found)
-    if not finite.all():
-        row, joint = np.argwhere(~finite)[0]
-        raise ModelError(
-            f"{recording.name or 'recording'}: the predicted torque of joint {joint + 1} at "
-            f"t = {recording.t[row]:g} s is {found[row, joint]}; expected a finite number: check "
-            "the effects and parameters of the model, and the units of the recording"
-        )
-    return found
-
-
-def on_recording_times(
-    recording: Recording,
-    processing: Processing,
-    temperature_mean: Array | None,
-    function: Callable[[Processed], Array],
-    width: int,
-) -> Array:
-    """Evaluate a function on processed segments; return its values at the recording's own times."""
-    values = np.zeros((len(recording.t), width))
-    first = 0
+    torque, first = np.zeros((len(recording.t), compiled.n)), 0
     for segment in recording.segments():
         here = slice(first, first + len(segment.t))
         first = here.stop
         for grid in _on_grid(segment, processing):
-            found = function(relative_temperature(grid, temperature_mean))
-            values[here] = np.column_stack(
-                [np.interp(segment.t, grid.t, column) for column in found.T]
-            )
-    return values
+            warm = relative_temperature(grid, temperature_mean)
+            with np.errstate(over="ignore", invalid="ignore"):  # checked below
+                found = torque_along(compiled, warm, parameters, shapes)
+            columns = [np.interp(segment.t, grid.t, column) for column in found.T]
+            torque[here] = np.column_stack(columns)
+    finite = np.isfinite(torque)
+    if not finite.all():
+        row, joint = np.argwhere(~finite)[0]
+        raise ModelError(
+            f"{recording.name or 'recording'}: the predicted torque of joint {joint + 1} at "
+            f"t = {recording.t[row]:g} s is {torque[row, joint]}; expected a finite number: check "
+            "the effects and parameters of the model, and the units of the recording"
+        )
+    return torque
 
 
 def _on_grid(segment: Recording, processing: Processing) -> tuple[Processed, ...]:

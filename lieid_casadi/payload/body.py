@@ -15,7 +15,6 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.identification.feasible.problem import (
     ConvexSolver,
-    FeasibleOptions,
     FeasibleProblem,
 )
 from lieid_casadi.identification.regression.least_squares import Factor
@@ -112,7 +111,6 @@ def nearest_feasible_body(parameters: Array, covariance: Array, hidden: Array) -
         upper=np.zeros(0),
         friction=np.zeros((0, 0)),
         typical=factor,
-        options=FeasibleOptions(),
     )
     solver, failure = ConvexSolver(problem), None
     for relaxation in RELAXATION:

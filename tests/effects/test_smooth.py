@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from exporters.c_arms import torque_of
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -52,7 +53,7 @@ def test_file_and_symbolic_torque_are_those_of_the_fit(run, kind, tmp_path):
     function = lieid.symbolic(loaded).inverse_dynamics  # evaluated by CasADi, the fit by C
     at = slice(100, 200)
     by_casadi = function(run.q[at].T, run.dq[at].T, np.zeros((7, 100))).full().T
-    by_c = fit.torque(run.q[at], run.dq[at], np.zeros((100, 7)))
+    by_c = torque_of(fit, run.q[at], run.dq[at], np.zeros((100, 7)))
     np.testing.assert_allclose(by_casadi, by_c, rtol=0, atol=1e-10)
 
 
@@ -91,9 +92,9 @@ def test_zero_where_the_data_do_not_reach(run, kind):
     none = replace(fit, parameters=np.where(others, fit.parameters, 0.0))
     reach = np.abs(run.dq).max(axis=0), np.abs(run.q).max(axis=0)
     q, dq = 3.0 * np.tile(reach[1], (2, 1)), 3.0 * np.tile(reach[0], (2, 1)) * [[1.0], [-1.0]]
-    np.testing.assert_array_equal(fit.torque(q, dq, 0 * q), none.torque(q, dq, 0 * q))
+    np.testing.assert_array_equal(torque_of(fit, q, dq, 0 * q), torque_of(none, q, dq, 0 * q))
     motion = run.q[::100], run.dq[::100], 0.0 * run.q[::100]
-    assert np.all(fit.torque(*motion)[:, 3] != none.torque(*motion)[:, 3])
+    assert np.all(torque_of(fit, *motion)[:, 3] != torque_of(none, *motion)[:, 3])
 
 
 def test_a_function_of_another_joint_is_found_to_the_noise():

@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from exporters.c_arms import made_fit
+from exporters.c_arms import made_fit, torque_of
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -113,7 +113,7 @@ def test_the_bounds_contain_the_torque_of_bristles(robot):
     motion = MotionSamples(t, *plant.FourierTrajectory(robot, base_frequency=0.2, seed=4).at(t))
     limits = Torque(deviations=0.0).on(robot, FittedArm.of(fit))
     largest, smallest = np.split(limits.values(motion), 2)
-    torque = fit.torque(motion.q, motion.dq, motion.ddq, time=t).T
+    torque = torque_of(fit, motion.q, motion.dq, motion.ddq, time=t).T
     assert np.all(torque <= largest + 1e-6)
     assert np.all(torque >= smallest - 1e-6)
     assert np.all(np.mean(largest - smallest, axis=1) < 5.0 * fit.effect_coefficients[2::2])
@@ -129,7 +129,7 @@ def test_two_standard_deviations_of_the_fit_are_added(robot, fit):
     rows = lieid.compile(fit.model).base_regressor(motion.q, motion.dq, motion.ddq)
     expected = 2.0 * np.sqrt(np.einsum("knp,pq,knq->kn", rows, fit.covariance, rows)).T
     np.testing.assert_allclose(wide - plain, np.concatenate([expected, -expected]), rtol=1e-6)
-    torque = fit.torque(motion.q, motion.dq, motion.ddq).T
+    torque = torque_of(fit, motion.q, motion.dq, motion.ddq).T
     np.testing.assert_allclose(plain, np.concatenate([torque, torque]), atol=1e-9)
 
 

@@ -38,6 +38,14 @@ PANDA = (
 )
 
 
+def torque_of(fit, q, dq, ddq, time=None):
+    """Torque (N, n) of a fit with effects on single joints at samples."""
+    load = fit.compiled.inverse_dynamics(q, dq, ddq, fit.link_parameters)
+    return load + fit.compiled.effect_torque(
+        q, dq, ddq, fit.effect_coefficients, load=load, time=time, shapes=fit.shapes
+    )
+
+
 def made_fit(robot, effects, *, seed=0):
     """A fit of random numbers: link parameters off by up to 30 %, coefficients below 1."""
     model, random = lieid.Model(robot, effects), np.random.default_rng(seed)

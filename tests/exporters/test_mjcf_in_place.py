@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
-from exporters.c_arms import made_fit
+from exporters.c_arms import made_fit, torque_of
 from exporters.test_mjcf_export import inverse
 
 import lieid_casadi as lieid
@@ -213,7 +213,7 @@ def test_two_arms_on_one_base_are_written_one_after_the_other(tmp_path):
     model = mujoco.MjModel.from_xml_path(str(path))
     q, dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 4))
     expected = [
-        fit.torque(*(x[None, part] for x in (q, dq, ddq)))[0]
+        torque_of(fit, *(x[None, part] for x in (q, dq, ddq)))[0]
         for fit, part in zip(fits, (slice(0, 2), slice(2, 4)), strict=True)
     ]
     np.testing.assert_allclose(inverse(model, q, dq, ddq), np.concatenate(expected), atol=1e-9)

@@ -163,10 +163,3 @@ def test_a_prediction_that_is_not_finite_is_refused(fit, run):
         ModelError, match=r"predicted torque of joint 1 .* expected a finite number"
     ):
         broken.predict(run)
-
-
-def test_a_covariance_that_is_not_positive_gives_a_finite_band(text, run, tmp_path):
-    content = json.loads(text)
-    content["covariance"][0][1] = content["covariance"][1][0] = -1e6
-    band = loaded(json.dumps(content), tmp_path).predict_band(run)
-    assert np.isfinite(band.parameter_std).all()

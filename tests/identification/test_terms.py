@@ -121,3 +121,20 @@ def test_a_numerical_velocity_is_per_second(rate):
     t = np.arange(0.0, 1.0, 1.0 / rate)
     velocity = central_difference((3.0 * t**2 - t)[:, None], rate)
     np.testing.assert_allclose(velocity[:, 0], 6.0 * t - 1.0, atol=1e-9)
+
+
+def test_functions_of_single_joints_refuse_effects_on_the_whole_arm():
+    """They left them out silently: 2 kg at the tool changed nothing."""
+    compiled = lieid.compile(lieid.Model(lieid.robots.panda(), "coulomb,payload"))
+    motion = tuple(np.random.default_rng(3).uniform(-1.5, 1.5, (3, 4, 7)))
+    coefficients = np.linspace(0.1, 0.5, len(compiled.model.columns))
+    for call in (
+        lambda: compiled.effect_torque(*motion, coefficients),
+        lambda: compiled.effect_columns(*motion),
+        lambda: compiled.base_regressor(*motion),
+    ):
+        with pytest.raises(ModelError, match=r"payload.*lieid.symbolic"):
+            call()
+    friction = compiled.effect_torque(*motion, coefficients, joint_effects_only=True)
+    coulomb = np.sign(motion[1]) * coefficients[:7]
+    np.testing.assert_allclose(friction, coulomb, atol=1e-12)

@@ -5,7 +5,6 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.errors import ModelError
 from lieid_casadi.identification.regression.least_squares import JointRows, Rows
 from lieid_casadi.identification.uncertainty.covariance import (
     hac_covariance,
@@ -131,39 +130,6 @@ def test_gaps_between_segments_are_not_bridged():
     )
     np.testing.assert_allclose(cut, whole, rtol=0.25)
     assert residual_correlation_length(parts, parts.residuals(values)) < 10
-
-
-def test_a_band_contains_its_stated_share_of_new_samples():
-    fit = lieid.identify(lieid.Model(ROBOT, EFFECTS), run(torque_noise=0.3), processing=CUTOFF)
-    fresh = run(motion_seed=9, noise_seed=5, torque_noise=0.3)
-    for level in (0.8, 0.95):
-        band = fit.predict_band(fresh, level=level)
-        inside = (fresh.tau > band.lower) & (fresh.tau < band.upper)
-        np.testing.assert_allclose(inside.mean(axis=0), level, atol=0.02)
-    np.testing.assert_array_equal(band.torque, fit.predict(fresh))
-    with pytest.raises(ModelError, match="level is 95"):
-        fit.predict_band(fresh, level=95)
-
-
-def test_parameter_std_of_a_band_is_that_of_repeated_fits():
-    """Std of the predicted torque over fits to other noise, shape parameters included."""
-    model = lieid.Model(ROBOT, EFFECTS + ",stribeck:1")
-    arm = ARM.with_effects(plant.Stribeck(0, extra=0.8, velocity=0.15))
-    motion = plant.FourierTrajectory(ROBOT, base_frequency=1 / 30, harmonics=8, seed=4)
-    t = np.arange(0.0, 30.0, 0.01)
-    sensors = plant.Sensors(rate=100.0, torque_noise=0.3)
-    fresh = run(motion_seed=9, duration=10.0)
-    torques, stated = [], []
-    for seed in range(12):
-        recording = plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=seed)
-        fit = lieid.identify(model, recording, processing=CUTOFF)
-        band = fit.predict_band(fresh)
-        torques.append(band.torque)
-        stated.append(band.parameter_std)
-    scatter = np.std(torques, axis=0)
-    ratio = np.sqrt(np.mean(np.square(stated), axis=(0, 1)) / np.mean(scatter**2, axis=0))
-    assert np.all(ratio > 0.75)
-    assert np.all(ratio < 1.35)
 
 
 def test_variances_of_dependent_parameters_are_not_negative(tmp_path):

@@ -78,12 +78,11 @@ def coupled_joints(model: Model) -> list[list[int]]:
     return [sorted(group) for group in groups]
 
 
-def largest_speed(
-    model: Model, segments: Sequence[Processed], stated: Sequence[float] | None
-) -> Array:
-    """Return the speed (n,) up to which friction is constrained to dissipate, rad/s."""
-    if stated is not None:
-        return np.asarray(stated, dtype=float)
+def largest_speed(model: Model, segments: Sequence[Processed]) -> Array:
+    """Return the speed (n,) up to which friction is constrained to dissipate, rad/s.
+
+    It is the velocity limit, or the fastest recorded motion if that is faster.
+    """
     recorded = np.max([np.abs(s.dq).max(axis=0) for s in segments], axis=0)
     return np.asarray(np.fmax(model.robot.limit("velocity"), recorded))
 

@@ -26,7 +26,6 @@ from lieid_casadi.identification.feasible.certificate import (
 from lieid_casadi.identification.feasible.dissipation import dissipation_rows, largest_speed
 from lieid_casadi.identification.feasible.problem import (
     ConvexSolver,
-    FeasibleOptions,
     FeasibleProblem,
     reference_bodies,
 )
@@ -67,7 +66,7 @@ def driving(design: Design, start: FitState, problem: FeasibleProblem) -> list[L
     columns = design.model.columns
     friction = start.parameters[10 * problem.n :]
     recorded = np.max([np.abs(s.dq).max(axis=0) for s in design.segments], axis=0)
-    permitted = largest_speed(design.model, design.segments, problem.options.velocity)
+    permitted = largest_speed(design.model, design.segments)
     found: list[LieidWarning] = []
     for joint in range(problem.n):
         own = np.array([c.joint == joint for c in columns], dtype=bool)
@@ -78,7 +77,7 @@ def driving(design: Design, start: FitState, problem: FeasibleProblem) -> list[L
                     f"joint {joint + 1}: friction by least squares would drive the joint at some "
                     f"speed up to {permitted[joint]:.3g} rad/s (recorded: up to "
                     f"{recorded[joint]:.3g}); it is constrained to dissipate, which increases the "
-                    "error of this joint: add the missing friction effect, or state a lower speed"
+                    "error of this joint: add the missing friction effect"
                 )
             )
     return found
@@ -86,6 +85,7 @@ def driving(design: Design, start: FitState, problem: FeasibleProblem) -> list[L
 
 WEIGHTS = tuple(10.0**k for k in range(-5, 2))  # values of λ tried by cross-validation
 ROUNDS = 10  # largest number of iterations over the load
+POSES = 10_000  # at which the mass matrix is checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +95,7 @@ class ConsistentFit:
     state: FitState  # at the physically consistent parameters
     problem: FeasibleProblem
     regularization: float  # λ
+    source: str  # of λ: ``cross-validation`` or ``given``
     #: weighted factor of other rows to base values (p,), at the same λ
     estimate: Callable[[Factor], Array]
     warnings: tuple[LieidWarning, ...]
@@ -104,22 +105,19 @@ def make_feasible(
     design: Design,
     start: FitState,
     folds: Sequence[Fold],
-    options: FeasibleOptions,
+    regularization: float | None,
     report: Callable[[str, float], None],
 ) -> ConsistentFit:
     """Return the best physically consistent parameters.
 
-    Weights and shape parameters are those of ``start``.
+    Weights and shape parameters are those of ``start``; a regularization that is not given is
+    chosen by cross-validation.
     """
-    options.check_links(design.model.n)
-    problem, found = feasible_problem(
-        design, start.weighting.factor, start.shapes, start.parameters, options
-    )
+    problem, found = feasible_problem(design, start)
     solver = ConvexSolver(problem)
-    noise = start.weighting.noise
-    weight = options.regularization
+    weight = regularization
     if weight is None:
-        weight = choose_regularization(solver, folds, noise, report)
+        weight = choose_regularization(solver, folds, start.weighting.noise, report)
     state, settled = _follow_load(design, start, solver, weight)
     if not settled:
         found = (
@@ -131,21 +129,22 @@ def make_feasible(
         )
     found = (*found, *at_bounds(design, start, state), *driving(design, start, problem))
     estimate = partial(solver.base_values, weight=weight)
-    return ConsistentFit(state, problem, weight, estimate, found)
+    source = "cross-validation" if regularization is None else "given"
+    return ConsistentFit(state, problem, weight, source, estimate, found)
 
 
 def certify(design: Design, consistent: ConsistentFit, rms: Array, rms_wls: Array) -> Certificate:
     """Check the result independently of the solver."""
     problem, parameters = consistent.problem, consistent.state.parameters
-    links, options = parameters[: 10 * problem.n], problem.options
+    links = parameters[: 10 * problem.n]
     return Certificate(
         regularization=consistent.regularization,
-        regularization_source="given" if options.regularization else "cross-validation",
+        regularization_source=consistent.source,
         pseudo_inertia_eigenvalue=pseudo_inertia_eigenvalues(links),
         mass_matrix_eigenvalue=least_mass_matrix_eigenvalue(
-            design.compiled, links, poses=options.poses, seed=options.seed
+            design.compiled, links, poses=POSES, seed=0
         ),
-        poses=options.poses,
+        poses=POSES,
         least_dissipation=least_dissipation(problem.friction, parameters[10 * problem.n :]),
         divergence=problem.divergences(parameters),
         rms=rms,
@@ -154,22 +153,22 @@ def certify(design: Design, consistent: ConsistentFit, rms: Array, rms_wls: Arra
 
 
 def feasible_problem(
-    design: Design, factor: Factor, shapes: Array, parameters: Array, options: FeasibleOptions
+    design: Design, start: FitState
 ) -> tuple[FeasibleProblem, tuple[LieidWarning, ...]]:
     """Return the convex problem of a model, and warnings about its nominal inertias."""
-    model = design.model
+    model, factor = design.model, start.weighting.factor
     references, found = reference_bodies(model, factor)
     lower, upper = position_range(model.robot)
     friction = dissipation_rows(
         design.compiled,
-        shapes,
-        velocity=largest_speed(model, design.segments, options.velocity),
-        load=_largest_load(design, parameters),
+        start.shapes,
+        velocity=largest_speed(model, design.segments),
+        load=_largest_load(design, start.parameters),
         temperature=_largest_temperature(design.segments),
         lower=lower,
         upper=upper,
     )
-    return FeasibleProblem.of(model, references, friction, factor, options), found
+    return FeasibleProblem.of(model, references, friction, factor), found
 
 
 def choose_regularization(

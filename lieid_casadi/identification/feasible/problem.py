@@ -5,11 +5,11 @@ Minimize over link pseudo-inertias P_i and effect coefficients c
     ‖R·(combination·[π(P); c]) − z‖² / rows + λ·Σ_i D(P_i ‖ P̄_i),
     D(P ‖ P̄) = tr(P̄⁻¹P) − log det(P̄⁻¹P) − 4,
 
-subject to P_i ⪰ margin·P̄_i, bounds of the coefficients, dissipative friction, and given bounds
-on masses and centres of mass. [R | z] is the triangular factor of the weighted rows: the
-size of the problem does not depend on the number of samples. D is the entropic (Bregman)
-divergence of Lee, Wensing, Park, "Geometric robot dynamic identification: a convex programming
-approach", IEEE T-RO 2020; it does not depend on the choice of frames or units.
+subject to P_i ⪰ margin·P̄_i, bounds of the coefficients, and dissipative friction. [R | z] is the
+triangular factor of the weighted rows: the size of the problem does not depend on the number of
+samples. D is the entropic (Bregman) divergence of Lee, Wensing, Park, "Geometric robot dynamic
+identification: a convex programming approach", IEEE T-RO 2020; it does not depend on the choice of
+frames or units.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from __future__ import annotations
 import logging
 import time
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -31,101 +30,6 @@ from lieid_casadi.identification.regression.least_squares import Factor, unit_co
 from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import body_inertia, link_parameters, pseudo_inertia
 from lieid_casadi.robot.robot import Robot
-
-Range = tuple[float, float]
-Three = tuple[float, float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class FeasibleOptions:
-    """Options of ``identify(..., method="feasible")``. Links and joints count from 0.
-
-    Attributes
-    ----------
-    total_mass
-        Bounds of the total mass of the moving links, kg; equal numbers fix it.
-    link_mass
-        Bounds of the mass of a link, by its number, kg.
-    com_box
-        Two corners (3,) of a box in the link frame that contains the centre of mass of a link,
-        by its number, m.
-    regularization
-        Weight λ of the divergence from the nominal bodies, relative to the mean squared error in
-        units of the joints' noise; None chooses it by blocked cross-validation.
-    margin
-        Each pseudo-inertia is at least ``margin`` times that of its reference body.
-    velocity
-        Speed per joint up to which friction is constrained to dissipate, rad/s. None: the
-        velocity limit, or the fastest recorded motion if that is faster or no limit is stated.
-    max_iterations
-        Of the convex solver.
-    poses, seed
-        Number of random poses at which the mass matrix is checked, and their seed.
-
-    Raises
-    ------
-    IdentificationError
-        Bounds that contradict each other.
-    """
-
-    total_mass: Range | None = None
-    link_mass: Mapping[int, Range] = field(default_factory=dict)
-    com_box: Mapping[int, tuple[Three, Three]] = field(default_factory=dict)
-    regularization: float | None = None
-    margin: float = 1e-3
-    velocity: Sequence[float] | None = None
-    max_iterations: int = 200
-    poses: int = 10_000
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.total_mass is not None:
-            _check_masses("total_mass", self.total_mass)
-        for link, masses in self.link_mass.items():
-            _check_masses(f"link_mass of link {link} (from 0)", masses)
-        for link, (low, high) in self.com_box.items():
-            for axis, bounds in zip("xyz", zip(low, high, strict=True), strict=True):
-                _check_range(f"com_box of link {link} (from 0), {axis}", bounds, "m")
-        for name, number in (
-            ("regularization", self.regularization),
-            *(("velocity", speed) for speed in self.velocity or ()),
-        ):
-            if number is not None and not (np.isfinite(number) and number > 0.0):
-                raise IdentificationError(f"{name} is {number}, expected a number above 0")
-        if not 0.0 < self.margin < 0.5:
-            raise IdentificationError(f"margin is {self.margin}, expected above 0 and below 0.5")
-        for name, count in (("poses", self.poses), ("max_iterations", self.max_iterations)):
-            if count < 1:
-                raise IdentificationError(f"{name} is {count}, expected 1 or more")
-
-    def check_links(self, n: int) -> None:
-        """Raise `IdentificationError` if an option names a link that does not exist."""
-        for name, links in (("link_mass", self.link_mass), ("com_box", self.com_box)):
-            for link in links:
-                if not 0 <= link < n:
-                    raise IdentificationError(f"{name}: link {link}, expected 0 to {n - 1}")
-        if self.velocity is not None and len(self.velocity) != n:
-            raise IdentificationError(
-                f"velocity: {len(self.velocity)} numbers, expected one per joint ({n})"
-            )
-
-
-def _check_range(name: str, bounds: Range, unit: str) -> None:
-    low, high = bounds
-    if not (np.isfinite(low) and np.isfinite(high)):
-        raise IdentificationError(f"{name}: {low:g} to {high:g} {unit}, expected finite numbers")
-    if low > high:
-        raise IdentificationError(f"{name}: {low:g} to {high:g} {unit}, expected lower ≤ upper")
-
-
-def _check_masses(name: str, masses: Range) -> None:
-    _check_range(name, masses, "kg")
-    low, high = masses
-    if low < 0.0 or high <= 0.0:
-        raise IdentificationError(
-            f"{name}: {low:g} to {high:g} kg, expected 0 ≤ lower and upper above 0"
-        )
-
 
 FLAT = 1e-6  # smallest ratio of second moments of a body that is used as it is
 CORRECTED_FLATNESS = 1e-3  # smallest ratio of second moments of a corrected body
@@ -227,23 +131,16 @@ class FeasibleProblem:
     #: (K, m): rows whose product with the coefficients is constrained to be not negative
     friction: Array
     typical: Factor  # of the data, or of similar data; used for scaling only
-    options: FeasibleOptions
 
     @classmethod
     def of(
-        cls,
-        model: Model,
-        references: Array,
-        friction: Array,
-        typical: Factor,
-        options: FeasibleOptions,
+        cls, model: Model, references: Array, friction: Array, typical: Factor
     ) -> FeasibleProblem:
         """Return the problem of a model."""
         lower, upper = (
             np.array([getattr(c, x) for c in model.columns]) for x in ("lower", "upper")
         )
-        combination = model.base.combination
-        return cls(combination, references, lower, upper, friction, typical, options)
+        return cls(model.base.combination, references, lower, upper, friction, typical)
 
     @property
     def n(self) -> int:
@@ -284,25 +181,6 @@ class FeasibleProblem:
         size = self._column_sizes
         return np.asarray(size > NEGLIGIBLE * size.max(initial=0.0))
 
-    @cached_property
-    def body_bounds(self) -> list[tuple[Array, float]]:
-        """Rows (10 n,) and bounds b of the given constraints row @ link parameters ≥ b."""
-        found: list[tuple[Array, float]] = []
-        mass = np.zeros(10 * self.n)
-        if self.options.total_mass is not None:
-            mass[::10] = 1.0
-            low, high = self.options.total_mass
-            found += [(mass, low), (-mass, -high)]
-        unit = np.eye(10 * self.n)
-        for link, (low, high) in self.options.link_mass.items():
-            found += [(unit[10 * link], low), (-unit[10 * link], -high)]
-        for link, corners in self.options.com_box.items():
-            for axis in range(3):
-                m, moment = unit[10 * link], unit[10 * link + 1 + axis]
-                found += [(moment - corners[0][axis] * m, 0.0)]
-                found += [(corners[1][axis] * m - moment, 0.0)]
-        return found
-
     def reduced(self, factor: Factor) -> Array:
         """Return [R | z] (p + 1, p + 1) divided by √rows, padded with zero rows."""
         width = self.combination.shape[0] + 1
@@ -336,27 +214,21 @@ class FeasibleProblem:
 
 log = logging.getLogger("lieid_casadi")
 TOLERANCE = 1e-8
+MAX_ITERATIONS = 200
+MARGIN = 1e-3  # of its reference body, by which each pseudo-inertia is positive definite at least
 FRICTION_MARGIN = 1e-6  # of the joint's noise: keeps friction dissipative within the tolerance
 
-RELAX = (
-    "relax the bounds on masses and centres of mass, or give a larger regularization "
-    "(option regularization)"
-)
+RELAX = "give a larger regularization, or record more excitation"
 STATUS = {
     "infeasible": (
-        "no parameters satisfy all constraints (proved by the solver); relax the bounds on masses "
-        "and centres of mass"
+        "no parameters satisfy all constraints (proved by the solver): the bounds of the effects "
+        "contradict each other"
     ),
     "infeasible_inaccurate": f"probably no parameters satisfy all constraints; {RELAX}",
-    "unbounded": "the cost has no minimum; give a larger regularization, or record more excitation",
-    "unbounded_inaccurate": (
-        "the cost has probably no minimum; give a larger regularization, or record more excitation"
-    ),
+    "unbounded": f"the cost has no minimum; {RELAX}",
+    "unbounded_inaccurate": f"the cost has probably no minimum; {RELAX}",
     "optimal_inaccurate": f"the solver did not reach its accuracy; {RELAX}",
-    "user_limit": (
-        "the solver reached its limit of iterations; raise max_iterations, or give a larger "
-        "regularization"
-    ),
+    "user_limit": f"the solver reached its limit of {MAX_ITERATIONS} iterations; {RELAX}",
     "solver_error": f"the solver failed numerically; {RELAX}",
 }
 
@@ -381,7 +253,7 @@ class ConvexSolver:
         for i in range(problem.n):
             body = cp.reshape(PSEUDO @ self._unknowns[10 * i : 10 * i + 10], (4, 4), order="C")
             divergence += cp.trace(body) - cp.log_det(body)
-            constraints.append(body >> problem.options.margin * unit)
+            constraints.append(body >> MARGIN * unit)
         rows, bounds = linear_constraints(problem)
         if len(rows):
             constraints.append((rows @ problem.scaling) @ self._unknowns >= bounds)
@@ -404,7 +276,7 @@ class ConvexSolver:
             try:
                 self._program.solve(
                     solver=cp.CLARABEL,
-                    max_iter=self.problem.options.max_iterations,
+                    max_iter=MAX_ITERATIONS,
                     tol_gap_abs=TOLERANCE,
                     tol_gap_rel=TOLERANCE,
                     tol_feas=TOLERANCE,
@@ -435,9 +307,6 @@ def linear_constraints(problem: FeasibleProblem) -> tuple[Array, Array]:
         finite = np.isfinite(side) & problem.active
         rows.append(sign * unit[finite])
         bounds.append(side[finite])
-    for row, bound in problem.body_bounds:
-        rows.append(np.concatenate([row, np.zeros(total - links)])[None])
-        bounds.append(np.array([bound]))
     bodies, limits = _unit_norm(problem, np.vstack(rows), np.concatenate(bounds))
     active = problem.friction * problem.active
     friction = np.zeros((len(active), total))

@@ -28,7 +28,6 @@ from lieid_casadi.identification.feasible.certificate import (
 from lieid_casadi.identification.feasible.dissipation import dissipation_rows
 from lieid_casadi.identification.feasible.problem import (
     ConvexSolver,
-    FeasibleOptions,
     FeasibleProblem,
 )
 from lieid_casadi.identification.regression.least_squares import Factor
@@ -118,7 +117,7 @@ class Posterior:
             )
         references = np.array([pseudo_inertia(b) for b in links.reshape(-1, 10)])
         typical = _squared_distance(self._roots[0][:, : len(self.values)], self.values)
-        return FeasibleProblem.of(model, references, friction, typical, FeasibleOptions())
+        return FeasibleProblem.of(model, references, friction, typical)
 
     @property
     def _links(self) -> Array:
