@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 import lieid_casadi as lieid
 from lieid_casadi.effects import Signals, make
+from lieid_casadi.errors import ModelError
 from lieid_casadi.identification.regression.least_squares import JointRows, Rows, robust, solve
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.recording.filtering import central_difference
