@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,7 +29,7 @@ from lieid_casadi.errors import (
     warning_list,
 )
 from lieid_casadi.identification.feasible.certificate import Certificate
-from lieid_casadi.identification.recording_checks import Provenance, Source
+from lieid_casadi.identification.recording_checks import Provenance
 from lieid_casadi.identification.regression.least_squares import Conditioning
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import number_or_none
@@ -90,11 +89,6 @@ def read_fields(path: str | Path) -> dict[str, Any]:
         raise EffectError(f"{path}: {error}") from None
     except LieidError as error:
         raise FitFileError(f"{path}: {reason_of(error)}") from None
-    origin: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value
-        for name, value in msgspec.to_builtins(content.provenance).items()
-    }
-    origin["recordings"] = tuple(Source(**recording) for recording in origin["recordings"])
     intervals, certificate = _array(content.shape_intervals), content.certificate
     return {
         **{name: _array(getattr(content, name)) for name in ARRAYS},
@@ -104,9 +98,9 @@ def read_fields(path: str | Path) -> dict[str, Any]:
             Noise(np.array(e.filter), e.sigma, e.spread, e.rises) for e in content.residual_noise
         ),
         "processing": processing,
-        "conditioning": Conditioning(**msgspec.to_builtins(content.conditioning)),
+        "conditioning": content.conditioning,
         "warnings": tuple(_warning(w) for w in content.warnings),
-        "provenance": Provenance(**origin),
+        "provenance": content.provenance,
         "shape_intervals": None if intervals is None else intervals.reshape(-1, 2),
         "certificate": (
             None if certificate is None else Certificate.from_dict(msgspec.to_builtins(certificate))
@@ -285,37 +279,11 @@ class ProcessingFile(Struct, forbid_unknown_fields=True):
     smoother: str
 
 
-class ConditioningFile(Struct, forbid_unknown_fields=True):
-    """Singular values of the full regressor."""
-
-    largest: NotNegative
-    smallest: NotNegative
-    beyond: NotNegative
-
-
 class WarningFile(Struct, forbid_unknown_fields=True):
     """A warning: its class and its text."""
 
     name: str
     message: str
-
-
-class SourceFile(Struct, forbid_unknown_fields=True):
-    """A training recording."""
-
-    name: str
-    sha256: str
-
-
-class ProvenanceFile(Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """Package version and training recordings, and how they were read."""
-
-    version: str
-    recordings: list[SourceFile]
-    torque_constants: list[Number] | None
-    units: list[Annotated[str, Meta(max_length=10)]]
-    columns: list[Annotated[str, Meta(max_length=1000)]] = []
-    corrections: list[Annotated[str, Meta(max_length=1000)]] = []
 
 
 class CertificateFile(Struct, forbid_unknown_fields=True):
@@ -352,9 +320,9 @@ class Content(Struct, forbid_unknown_fields=True):
     rms_train_raw: list[NotNegative]
     rms_cv: list[NotNegative | None]
     processing: ProcessingFile
-    conditioning: ConditioningFile
+    conditioning: Conditioning
     warnings: list[WarningFile]
-    provenance: ProvenanceFile
+    provenance: Provenance
     temperature_mean: list[Number] | None
     shape_intervals: list[Annotated[list[Number | None], Meta(min_length=2, max_length=2)]] | None
     certificate: CertificateFile | None = None
@@ -368,7 +336,9 @@ def read_content(path: Path) -> Content:
     except RecursionError:
         raise FitFileError(f"{path}: not a fit: nested too deeply") from None
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
-        raise FitFileError(f"{path}: {_not_json(data, error)}") from None
+        raise FitFileError(
+            f"{path}: not JSON; expected a fit, the output of lieid identify -o: {reason_of(error)}"
+        ) from None
     if not isinstance(raw, dict) or raw.get("kind") != KIND:
         raise FitFileError(f"{path}: not a fit file; expected the output of lieid identify -o")
     try:
@@ -393,30 +363,6 @@ def _bytes(path: Path) -> bytes:
     return data
 
 
-def _not_json(data: bytes, error: Exception) -> str:
-    """Return what is wrong with a text that is not JSON, and where."""
-    if data and not data.lstrip().startswith((b"{", b"[")):
-        return "not JSON; expected a fit, the output of lieid identify -o"
-    if isinstance(error, UnicodeDecodeError):
-        return "not a fit: expected JSON text in UTF-8"
-    at = re.search(r"\(byte (\d+)\)", str(error))
-    if at is None:
-        truncated = "truncated" in str(error).lower()
-        return (
-            "not JSON: truncated; fit again"
-            if truncated
-            else f"not JSON: {reason_of(error)}; fit again"
-        )
-    position = int(at[1])
-    line = data.count(b"\n", 0, position) + 1
-    column = position - (data.rfind(b"\n", 0, position) + 1) + 1
-    found = data[position : position + 12].decode("utf-8", "replace").split()
-    return (
-        f"not JSON at line {line}, column {column}: found {(found or [''])[0]!r}; expected JSON "
-        "with finite numbers, fit again"
-    )
-
-
 def _migrated(raw: dict[str, Any], path: Path) -> dict[str, Any]:
     schema = raw.get("schema")
     if type(schema) is not int:
@@ -426,37 +372,13 @@ def _migrated(raw: dict[str, Any], path: Path) -> dict[str, Any]:
             f"{path}: schema {schema} is newer than {SCHEMA}, the newest supported by this "
             "version; update lieid-casadi"
         )
-    while schema < SCHEMA:
-        if schema not in MIGRATIONS:
-            raise FitFileError(f"{path}: schema {schema} is unknown; expected 1 to {SCHEMA}")
-        raw = MIGRATIONS[schema](raw)
-        schema += 1
-    return raw
-
-
-def _with_residual_noise(raw: dict[str, Any]) -> dict[str, Any]:
-    """Schema 1 stored the residual's standard deviation without its correlation in time."""
-    noise = raw.get("noise")
-    sizes = noise if isinstance(noise, list) else []
-    residual_noise = [{"filter": [1.0], "sigma": s, "spread": s} for s in sizes]
-    return raw | {"schema": 2, "residual_noise": residual_noise}
-
-
-def _with_reading(raw: dict[str, Any]) -> dict[str, Any]:
-    """Schema 2 stored neither torque constants nor units of the training recordings."""
-    provenance = raw.get("provenance")
-    if isinstance(provenance, dict):
-        provenance = {"torque_constants": None, "units": []} | provenance
-    return raw | {"schema": 3, "provenance": provenance}
-
-
-def _with_intervals(raw: dict[str, Any]) -> dict[str, Any]:
-    """Schema 3 stored no intervals of shape parameters."""
-    return raw | {"schema": 4, "shape_intervals": None}
-
-
-MIGRATIONS: dict[int, Callable[[dict[str, Any]], dict[str, Any]]] = {
-    1: _with_residual_noise,
-    2: _with_reading,
-    3: _with_intervals,
-}
+    if schema < 1:
+        raise FitFileError(f"{path}: schema {schema} is unknown; expected 1 to {SCHEMA}")
+    missing = dict[str, Any]()
+    if schema < 2:  # stored the residual's standard deviation without its correlation in time
+        noise = raw.get("noise")
+        sizes = noise if isinstance(noise, list) else []
+        missing["residual_noise"] = [{"filter": [1.0], "sigma": x, "spread": x} for x in sizes]
+    if schema < 4:  # stored no intervals of shape parameters
+        missing["shape_intervals"] = None
+    return raw | missing | {"schema": SCHEMA}

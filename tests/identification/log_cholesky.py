@@ -8,7 +8,7 @@ inertia", IEEE RA-L 2022. Not convex; independent of the conic solver that it ch
 import casadi as ca
 import numpy as np
 
-from lieid_casadi.identification.feasible.problem import FeasibleProblem, linear_constraints
+from lieid_casadi.identification.feasible.problem import MARGIN, FeasibleProblem, linear_constraints
 from lieid_casadi.identification.regression.least_squares import Factor
 
 OPTIONS = {
@@ -28,7 +28,7 @@ def solve_log_cholesky(problem: FeasibleProblem, factor: Factor, weight: float) 
     links, total = 10 * problem.n, problem.combination.shape[1]
     reduced = problem.reduced(factor)
     unknowns = ca.MX.sym("unknowns", total)
-    body = _body(problem.options.margin)
+    body = _body(MARGIN)
     parts, divergence = [], ca.MX(0)
     for i in range(problem.n):
         numbers, own = body(unknowns[10 * i : 10 * i + 10])

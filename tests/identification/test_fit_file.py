@@ -90,7 +90,10 @@ def test_schema_2_is_migrated(fit, text, tmp_path):
         (b"[" * 100_000, "nested too deeply"),
         (b'{"kind": "lieid-fit", "schema": 2, "values": [' + b"9" * 5000 + b"]}", "out of range"),
         (b'{"kind": "lieid-fit", "schema": 2, "values": [1e999]}', "out of range"),
-        (b'{"kind": "lieid-fit", "schema": 2,\n "values": [NaN]}', "line 2, column 13: found 'NaN"),
+        (
+            b'{"kind": "lieid-fit", "schema": 2,\n "values": [NaN]}',
+            "JSON is malformed: invalid character",
+        ),
         (b"[]", "not a fit file"),
         (b'{"kind": "lieid-fit"}', "no schema number"),
         (b'{"kind": "lieid-fit", "schema": true}', "no schema number"),
