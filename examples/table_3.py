@@ -108,9 +108,7 @@ def run(criterion, seeds, **thresholds):
         solution = Search(problem, seed).solve()
         seconds = time.process_time() - began
         assert problem.within_limits(solution.z)
-        rows.append(
-            [solution.condition_number, solution.neg_log_det, seconds, len(solution.history)]
-        )
+        rows.append([solution.condition_number, solution.neg_log_det, seconds, solution.iterations])
     return np.array(rows)
 
 

@@ -15,31 +15,18 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
     fit FIT: input  fit made without the payload
     recordings REC …: input  recordings measured with the payload
-    --refit-friction  fit Coulomb friction, viscous friction and offsets again, which change
-        with temperature
     --cutoff HZ: number  cut-off frequency of the low-pass filter; default: that of the fit
     --plot FILE: picture  draw the errors before and after
     @RECORDING @DESPITE_CHECK @JSON @HTML
     """
     from lieid_casadi.payload import identify_payload
-    from lieid_casadi.payload.estimate import (
-        error_table,
-        friction_table,
-        not_identified,
-        quantity_table,
-    )
+    from lieid_casadi.payload.estimate import error_table, not_identified, quantity_table
     from lieid_casadi.report import payload_report
 
     fit, recordings = inputs.fit_and_recordings(args)
     premises = premises_of(args, fit, recordings)
     with output.progress("payload") as report:
-        payload = identify_payload(
-            fit,
-            recordings,
-            cutoff=args.cutoff,
-            refit_friction=args.refit_friction,
-            progress=report,
-        )
+        payload = identify_payload(fit, recordings, cutoff=args.cutoff, progress=report)
     unknown = not_identified(payload)
     return output.Outcome(
         (
@@ -47,7 +34,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
             quantity_table(payload),
             *(f"  * not identified: {names}; {reason}." for names, reason in unknown),
             error_table(payload),
-            friction_table(payload),
             *payload.warnings,
         ),
         json=payload.to_dict() | {"premises": premises},

@@ -6,7 +6,7 @@ import io
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,11 +29,7 @@ from lieid_casadi.excitation.criteria import (
 from lieid_casadi.excitation.design import ExcitationProblem, make_design
 from lieid_casadi.excitation.limits import Limit
 from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
-from lieid_casadi.excitation.search import (
-    IterationRecord,
-    StartAttempt,
-    solve_all,
-)
+from lieid_casadi.excitation.search import StartAttempt, solve_all
 from lieid_casadi.excitation.trajectory import (
     Fourier,
     MotionSamples,
@@ -175,7 +171,7 @@ def excite(
     built = time.monotonic()
     seeds = range(seed, seed + starts)
     attempts = solve_all(problem, seeds, progress=progress, max_iterations=max_iterations)
-    best, z = best_of(attempts)
+    z = best_of(attempts)
     trajectory = problem.parametrization.trajectory(z)
     times = np.append(np.arange(0.0, trajectory.duration, 1.0 / rate), trajectory.duration)
     verified = verify(model.robot, trajectory.at(times), design.range, problem.limits, design.fit)
@@ -187,12 +183,7 @@ def excite(
             design.model, trajectory.at(period_grid(trajectory.duration, samples)), design.fit
         ),
         max_violation=max(0.0, *(excess.value for excess in excesses)),
-        active_limits=tuple(
-            ActiveLimit(excess.label, 1.0 + excess.scaled)
-            for excess in sorted(excesses, key=lambda excess: -excess.scaled)
-            if excess.scaled > -0.01
-        ),
-        starts=tuple(attempts), history=best.history,
+        starts=tuple(attempts),
         build_seconds=built - began, solve_seconds=time.monotonic() - built,
         checked=verified.checked, unchecked=verified.unchecked,
         interrupted=any(a.interrupted for a in attempts),
@@ -217,21 +208,13 @@ def _check(*, rate: float, duration: float, seed: int, **counts: int | None) -> 
         )
 
 
-def best_of(attempts: Sequence[StartAttempt]) -> tuple[StartAttempt, Array]:
-    """Return the best of several starts and its z (m,); raise the first's reason where all fail."""
+def best_of(attempts: Sequence[StartAttempt]) -> Array:
+    """Return z (m,) of the best of several starts; raise the first's reason where all fail."""
     found = [(a, a.z) for a in attempts if a.z is not None]
     if not found:
         count = f" ({len(attempts)} starts)" if len(attempts) > 1 else ""
         raise NoSolution(f"{attempts[0].reason}{count}")
-    return min(found, key=lambda pair: pair[0].rank)
-
-
-@dataclass(frozen=True)
-class ActiveLimit:
-    """A limit that the motion comes within 1 % of: ``used``, 0 to 1, of ``quantity``."""
-
-    quantity: str
-    used: float
+    return min(found, key=lambda pair: pair[0].rank)[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,11 +238,7 @@ class Excitation:
     max_violation : float
         Largest excess over any limit on a grid 20 times finer than the samples, in the limit's
         unit; 0 if every limit holds.
-    active_limits : tuple of ActiveLimit
-        Limits that the motion comes within 1 % of, the closest first.
     starts : tuple of StartAttempt
-    history : tuple of IterationRecord
-        Of the best start.
     build_seconds, solve_seconds : float
         For derivation and compilation; for optimization and verification of all starts.
     interrupted : bool
@@ -280,9 +259,7 @@ class Excitation:
     quality: Quality
     criterion: str
     max_violation: float
-    active_limits: tuple[ActiveLimit, ...]
     starts: tuple[StartAttempt, ...]
-    history: tuple[IterationRecord, ...]
     build_seconds: float
     solve_seconds: float
     interrupted: bool = False
@@ -359,7 +336,6 @@ class Excitation:
             "max_violation": self.max_violation,
             "checked": list(self.checked),
             "unchecked": list(self.unchecked),
-            "active_limits": [asdict(limit) for limit in self.active_limits],
             "starts": [
                 {
                     "seed": s.seed,
@@ -391,29 +367,27 @@ class Excitation:
             f"{self.max_violation:.1g}): {'; '.join(self.checked)}.",
             f"Not checked: {'; '.join(self.unchecked)}.",
         ]
-        if self.active_limits:
-            names = ", ".join(limit.quantity for limit in self.active_limits[:6])
-            more = f" and {len(self.active_limits) - 6} more" if len(self.active_limits) > 6 else ""
-            lines.append(f"Active limits: {names}{more}.")
         if self.interrupted:
             lines.append("The search was interrupted; this is the best trajectory so far.")
         lines += [f"! {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
-    def plot(self, ax: None = None) -> Figure:
-        """Return a figure: positions within limits, history of the criterion."""
+    def plot(self, ax: Axes | None = None) -> Figure:
+        """Draw the positions of all joints within their limits and return the figure."""
         from matplotlib.figure import Figure
 
-        figure = Figure(figsize=(12.0, 5.0), layout="constrained")
-        motion, robot = self.at(np.linspace(0.0, self.duration, PLOTTED)), self.model.robot
-        left, right = figure.subplots(1, 2, width_ratios=[2.0, 1.0])
-        plot_positions(motion, robot, left)
-        plot_history(self.history, right)
-        figure.suptitle(
-            f"{robot.name}: condition number {self.condition_number:.4g}, {self.duration:.4g} s",
+        if ax is None:
+            ax = Figure(figsize=(9.0, 5.0), layout="constrained").subplots()
+        motion = self.at(np.linspace(0.0, self.duration, PLOTTED))
+        plot_positions(motion, self.model.robot, ax)
+        ax.set_title(
+            f"{self.model.robot.name}: condition number {self.condition_number:.4g}, "
+            f"{self.duration:.4g} s; grey: range of the joint",
             parse_math=False,  # "$" in a robot's name is no formula
         )
-        return figure
+        drawn = ax.get_figure(root=True)
+        assert drawn is not None
+        return drawn
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
         """Write trajectory, JSON, plot and text into a folder; return the files.
@@ -466,20 +440,3 @@ def plot_positions(motion: MotionSamples, robot: Robot, ax: Axes) -> None:
     ax.set_ylim(0.0, robot.n)
     ax.set_xlim(t[0], t[-1])
     ax.set_xlabel("time, s")
-    ax.set_title("positions; grey: range of the joint")
-
-
-def plot_history(history: Sequence[IterationRecord], ax: Axes) -> None:
-    """Draw the condition number over the iterations of the best start."""
-    numbers = np.array([step.condition_number for step in history])
-    inside = np.array([step.violation <= 1e-3 for step in history])
-    count = np.arange(1, len(history) + 1)
-    ax.semilogy(count, numbers, color="0.6", linewidth=1.0)
-    ax.semilogy(count[inside], numbers[inside], ".", markersize=3, label="within limits")
-    names = [step.stage for step in history]
-    changes = [k for k in range(1, len(names)) if names[k] != names[k - 1]]
-    for k in changes:
-        ax.axvline(k + 1, color="0.4", linestyle=":", linewidth=1.0)
-    ax.set_xlabel("iteration")
-    ax.set_title("condition number")
-    ax.legend(loc="upper right", fontsize="small")

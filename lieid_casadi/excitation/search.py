@@ -27,20 +27,6 @@ LEAST_DECREASE = 0.9  # of the violation in one round; rounds that gain less are
 NEG_LOG_DET_SLACK = 0.5  # per parameter: Δ₂ above what the first stage reached
 
 
-@dataclass(frozen=True)
-class IterationRecord:
-    """One iteration of a search: the criterion's name and value, and the seconds since its start.
-
-    ``violation`` is the largest scaled excess over a limit, margin included.
-    """
-
-    stage: str
-    seconds: float
-    value: float
-    condition_number: float
-    violation: float
-
-
 @dataclass(frozen=True, eq=False)
 class StartAttempt:
     """Result of one start: the best trajectory that it led to, or the reason why there is none.
@@ -55,7 +41,7 @@ class StartAttempt:
     rank: float = np.nan
     condition_number: float = np.nan
     neg_log_det: float = np.nan
-    history: tuple[IterationRecord, ...] = ()
+    iterations: int = 0
     interrupted: bool = False
     reason: str = ""
 
@@ -91,7 +77,7 @@ class Search:
         self._best_rank = np.inf
         self.last: Iterate | None = None
         self.kept: list[Iterate] = []
-        self.history: list[IterationRecord] = []
+        self.iterations = 0
         self._began = time.monotonic()
         self._solver = Ipopt(problem.constraints(COARSE), self._record)
 
@@ -115,7 +101,7 @@ class Search:
         return StartAttempt(
             self.seed, time.monotonic() - self._began, best.z, self._final_rank(best),
             self.problem.condition_number(gram), -float(np.linalg.slogdet(gram)[1]),
-            tuple(self.history), interrupted,
+            self.iterations, interrupted,
         )  # fmt: skip
 
     def _run_stages(self, z: Array) -> None:
@@ -124,7 +110,7 @@ class Search:
         for number, stage in enumerate(self._stages):
             iterations = stage.iterations
             if self._left is not None:
-                iterations = min(iterations, self._left - len(self.history))
+                iterations = min(iterations, self._left - self.iterations)
             if iterations <= 0:
                 return
             if self._combined and number == 1:
@@ -161,10 +147,7 @@ class Search:
         self.last = state
         condition = self.problem.condition_number(state.outcome.gram)
         name = self._stages[min(stage, len(self._stages) - 1)].criterion.name
-        seconds, violation = time.monotonic() - self._began, max(state.violation, 0.0)
-        self.history.append(
-            IterationRecord(name, seconds, state.outcome.value, condition, violation)
-        )
+        self.iterations += 1
         feasible = state.violation <= FEASIBLE
         if feasible and self._rank(state) < self._best_rank:
             self.best, self._best_rank = state, self._rank(state)
@@ -173,7 +156,7 @@ class Search:
         if not feasible:
             text += f", {state.violation:.1e} beyond a limit"
         total = sum(one.iterations for one in self._stages)
-        self._progress(text, min(1.0, len(self.history) / total))
+        self._progress(text, min(1.0, self.iterations / total))
         if self._goal is not None and self._best_rank <= self._goal:
             raise _ThresholdReached
 

@@ -31,18 +31,6 @@ class NotIdentified:
     reason: str
 
 
-@dataclass(frozen=True)
-class FrictionChange:
-    """Change of one friction parameter between the fit and the loaded run."""
-
-    name: str
-    joint: int  # from 0
-    fitted: float  # value in the fit
-    change: float  # value in the loaded run minus that in the fit
-    std: float  # of the change
-    unit: str
-
-
 @dataclass(frozen=True, eq=False)
 class PayloadEstimate:
     """Result of :func:`lieid_casadi.identify_payload`; NaN for quantities not identifiable.
@@ -70,8 +58,6 @@ class PayloadEstimate:
         N·m; NaN for a joint that never moves.
     rms_fit : (n,)
         Held-out error of the fit on its training recordings, N·m: the error to expect.
-    friction : tuple of FrictionChange
-        Refitted friction; empty without ``refit_friction``.
     cutoff : float
         Cut-off frequency of the low-pass filter, Hz.
     recordings : tuple of Source
@@ -90,7 +76,6 @@ class PayloadEstimate:
     rms_before: Array
     rms_after: Array
     rms_fit: Array
-    friction: tuple[FrictionChange, ...]
     cutoff: float
     recordings: tuple[Source, ...]
     warnings: tuple[LieidWarning, ...]
@@ -106,11 +91,6 @@ class PayloadEstimate:
         return self.values[1:4]
 
     @property
-    def inertia(self) -> Array:
-        """xx, xy, yy, xz, yz, zz (6,) about the centre of mass, tool axes, kg·m²."""
-        return self.values[4:]
-
-    @property
     def mass_std(self) -> float:
         """Standard deviation of the mass, kg."""
         return float(self.std[0])
@@ -119,11 +99,6 @@ class PayloadEstimate:
     def com_std(self) -> Array:
         """Standard deviations of the centre of mass (3,), m."""
         return self.std[1:4]
-
-    @property
-    def inertia_std(self) -> Array:
-        """Standard deviations of the inertia (6,), kg·m²."""
-        return self.std[4:]
 
     @property
     def _interval(self) -> Array:
@@ -195,11 +170,11 @@ class PayloadEstimate:
             "explained": self.explained,
             "mass": number_or_none(self.mass),
             "com": numbers_or_none(self.com),
-            "inertia": numbers_or_none(self.inertia),
+            "inertia": numbers_or_none(self.values[4:]),
             "std": {
                 "mass": number_or_none(self.mass_std),
                 "com": numbers_or_none(self.com_std),
-                "inertia": numbers_or_none(self.inertia_std),
+                "inertia": numbers_or_none(self.std[4:]),
             },
             "interval_95": {"mass": ends[0], "com": ends[1:4], "inertia": ends[4:]},
             "feasible": body_dict(self.feasible),
@@ -209,8 +184,6 @@ class PayloadEstimate:
             "rms_before": numbers_or_none(self.rms_before),
             "rms_after": numbers_or_none(self.rms_after),
             "rms_fit": numbers_or_none(self.rms_fit),
-            "refit_friction": bool(self.friction),
-            "friction": [vars(part) | {"joint": part.joint + 1} for part in self.friction],
             "cutoff": self.cutoff,
             "recordings": [r.to_dict() for r in self.recordings],
             "warnings": warning_list(self.warnings),
@@ -258,18 +231,6 @@ def error_table(payload: PayloadEstimate) -> Table:
         [
             (f"{j + 1} {name}", *(float(column[j]) for column in columns))
             for j, name in enumerate(payload.joint_names)
-        ],
-    )
-
-
-def friction_table(payload: PayloadEstimate) -> Table:
-    """Return the friction parameters that were identified again."""
-    return make_table(
-        "Friction in the loaded run",
-        ("parameter", "in the fit", "change", "std", "unit"),
-        [
-            (f"{part.name}:{part.joint + 1}", part.fitted, part.change, part.std, part.unit)
-            for part in payload.friction
         ],
     )
 

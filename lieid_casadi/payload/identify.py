@@ -45,7 +45,6 @@ from lieid_casadi.payload.body import (
 )
 from lieid_casadi.payload.estimate import (
     INSIGNIFICANT,
-    FrictionChange,
     NotIdentified,
     PayloadEstimate,
     with_std,
@@ -179,7 +178,7 @@ def _changed_friction(
     refitted: LoadedRunEstimate,
     frictional: NDArray[np.bool_],
 ) -> list[LieidWarning]:
-    """Warn of friction that differs from the fit's, with the mass after refitting it."""
+    """Warn of friction that differs from the fit's and was identified again."""
     before, after = rms(kept.after), rms(refitted.after)
     fall = np.nan_to_num(1.0 - after / np.where(before > 0.0, before, np.inf))
     free = np.flatnonzero(frictional | run.drifting)
@@ -192,12 +191,12 @@ def _changed_friction(
     ]
     if not parts:
         return []
-    std = float(np.sqrt(refitted.covariance[0, 0]))
+    std = float(np.sqrt(kept.covariance[0, 0]))
     return [
         FrictionChangedWarning(
             f"friction differs from that of the fit ({', '.join(parts[:6])}"
-            f"{', …' if len(parts) > 6 else ''}); with refitted friction (--refit-friction) "
-            f"the mass is {with_std(float(refitted.parameters[0]), std)} kg"
+            f"{', …' if len(parts) > 6 else ''}) and was identified again; with the friction of "
+            f"the fit the mass would be {with_std(float(kept.parameters[0]), std)} kg"
         )
     ]
 
@@ -255,14 +254,15 @@ def identify_payload(
     recordings: Recording | Sequence[Recording],
     *,
     cutoff: float | None = None,
-    refit_friction: bool = False,
     progress: Progress | None = None,
 ) -> PayloadEstimate:
     """Identify a payload at the tool that a fit does not include.
 
     The difference between the measured torque and the fit's prediction is regressed on the
     columns of a body at the tool, both through the fit's filter, while the parameters of the fit
-    may move within their uncertainty. Load-dependent friction accounts for the payload.
+    may move within their uncertainty. Load-dependent friction accounts for the payload. Coulomb
+    friction, viscous friction and offsets that have changed significantly, as with the temperature,
+    are identified again from this run, which a warning states.
 
     Parameters
     ----------
@@ -272,9 +272,6 @@ def identify_payload(
         Recordings with the payload, with torques.
     cutoff : float, optional
         Cut-off frequency of the low-pass filter, Hz; that of the fit if not given.
-    refit_friction : bool
-        Whether Coulomb friction, viscous friction and offsets are identified again from this
-        run, for an arm whose temperature differs from that of the fit.
     progress : callable, optional
         Called with the name of a stage and the completed fraction (0 to 1).
 
@@ -287,8 +284,7 @@ def identify_payload(
     ModelError, EffectError, RecordingError
         The recordings do not match the model.
     IdentificationError
-        No joint moves, there is no friction to refit, or no payload explains the run, which is
-        then of another arm.
+        No joint moves, or no payload explains the run, which is then of another arm.
     NoSolution
         The solver did not find a physically consistent body.
 
@@ -317,27 +313,21 @@ def identify_payload(
             "no joint moves in the loaded run; expected a motion like that of the fit's training"
         )
     frictional = np.array([name in REFITTED for name in run.names])
-    if refit_friction and not frictional.any():
-        raise IdentificationError(
-            f"no friction to refit: the fit of {fit.model.robot.name!r} has none of "
-            f"{', '.join(REFITTED)}; leave out --refit-friction"
-        )
     report("regress", 0.4)
     kept = run.estimate(np.zeros_like(frictional))
     refitted = run.estimate(frictional) if frictional.any() else kept
-    estimate = refitted if refit_friction else kept
+    changed = _changed_friction(run, kept, refitted, frictional)
+    estimate = refitted if changed else kept
     if len(estimate.hidden) >= len(estimate.parameters):
         raise IdentificationError(
             f"{given[0].name or 'the recordings'}: no parameter of a payload can be identified "
             "from this motion with this fit; expected a motion of several joints, in both"
         )
     _require_same_arm(fit, estimate, run)
-    found += checked
-    if not refit_friction:
-        found += _changed_friction(run, kept, refitted, frictional)
+    found += [*checked, *changed]
     report("feasible body", 0.8)
     result = replace(
-        _result(fit, run, estimate, frictional if refit_friction else None),
+        _result(fit, run, estimate),
         recordings=tuple(Source.of(r) for r in given),
     )
     found += [w for segment in segments for w in segment.warnings]
@@ -365,9 +355,7 @@ def _frame(robot: Robot) -> str:
     return f"tool frame, at ({x:z.0f}, {y:z.0f}, {z:z.0f}) mm in link {link}{turned}"
 
 
-def _result(
-    fit: Fit, run: LoadedRun, estimate: LoadedRunEstimate, refitted: NDArray[np.bool_] | None
-) -> PayloadEstimate:
+def _result(fit: Fit, run: LoadedRun, estimate: LoadedRunEstimate) -> PayloadEstimate:
     hidden = estimate.hidden / SCALE
     hidden = hidden / np.maximum(np.abs(hidden).max(axis=1, keepdims=True), 1e-300)
     identifiable = identifiable_quantities(hidden)
@@ -392,7 +380,6 @@ def _result(
         rms_before=rms(estimate.before),
         rms_after=rms(estimate.after),
         rms_fit=np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise),
-        friction=() if refitted is None else _friction(run, refitted, estimate),
         cutoff=run.design.segments[0].cutoff,
         recordings=(),
         warnings=(),
@@ -404,19 +391,3 @@ def _propagated(jacobian: Array, covariance: Array) -> Array:
     variance = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
     uncorrelated = jacobian**2 @ np.diag(covariance)
     return np.asarray(np.sqrt(np.maximum(variance, ROUNDING * uncorrelated)))
-
-
-def _friction(
-    run: LoadedRun, refitted: NDArray[np.bool_], estimate: LoadedRunEstimate
-) -> tuple[FrictionChange, ...]:
-    fit, free = run.fit, np.flatnonzero(refitted | run.drifting)
-    found = []
-    for k, change, std in zip(free, estimate.free, estimate.free_std, strict=True):
-        p = fit.model.base_columns[k]
-        if refitted[k]:
-            found.append(
-                FrictionChange(
-                    p.name, p.joint, float(fit.values[k]), float(change), float(std), p.unit
-                )
-            )
-    return tuple(found)

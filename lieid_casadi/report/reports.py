@@ -248,14 +248,12 @@ def payload_report(fit: Fit, payload: PayloadEstimate) -> str:
     """Return the HTML report of a payload."""
     note = (
         "RMS error in motion, measured and predicted through the same filter: with the fit alone, "
-        "and with the payload added and nothing else changed."
+        "and with the payload added."
     )
-    friction = "Coulomb and viscous friction and offsets were identified again from the loaded run."
-    notes = [friction] if payload.friction else []
     return render(
         f"{payload.robot}: payload",
         [
-            table_section("", sentences=[payload.sentence], notes=notes),
+            table_section("", sentences=[payload.sentence]),
             _payload(payload),
             picture_section("Error per joint", payload.plot(), note),
             _warnings(payload.warnings, fit.warnings),

@@ -81,7 +81,7 @@ def run_own(problem):
         began = time.process_time()
         solution = Search(problem, seed).solve()
         seconds.append(time.process_time() - began)
-        counts.append(len(solution.history))
+        counts.append(solution.iterations)
         numbers.append(solution.neg_log_det / problem.design.model.base.count)
     report("lieid-casadi", numbers, seconds, counts, 0.0)
 

@@ -17,7 +17,7 @@ def test_an_iteration_limit_ends_within_the_limits():
     """Four polishing rounds of 40 iterations may follow the limited search."""
     found = excite(lieid.Model(PANDA), starts=1, max_iterations=8, limits=[Torque()])
     assert found.max_violation == 0.0
-    assert 8 <= len(found.history) <= 8 + 4 * 40
+    assert 8 <= found.starts[0].iterations <= 8 + 4 * 40
 
 
 def test_the_solver_reads_no_clock(problem, monkeypatch):

@@ -47,22 +47,17 @@ def test_table_json_report_and_picture(files, tmp_path, capsys):
     assert {part["name"] for part in content["not_identified"]} >= {"com_z", "Ixx"}
     assert len(content["rms_before"]) == len(content["rms_after"]) == ROBOT.n
     assert content["warnings"] == []
-    assert content["refit_friction"] is False
     html = Page(page.read_text())
     assert shown.splitlines()[0][:20] in "".join(html.text)
     assert not [v for n in FETCHING for v in html.values(n) if not v.startswith(("data:", "#"))]
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_refitted_friction_and_another_cutoff(files, tmp_path, capsys):
+def test_another_cutoff(files, tmp_path):
     out = tmp_path / "p.json"
-    words = [files / "fit.json", files / "loaded.csv", "--refit-friction", "--cutoff", 5]
+    words = [files / "fit.json", files / "loaded.csv", "--cutoff", 5]
     assert lieid_payload(*words, "--json", out) == 0
-    content = json.loads(out.read_text())
-    assert content["cutoff"] == 5.0
-    assert content["refit_friction"] is True
-    assert {row["name"] for row in content["friction"]} >= {"coulomb.f_c", "offset.f_b"}
-    assert "Friction in the loaded run" in capsys.readouterr().out
+    assert json.loads(out.read_text())["cutoff"] == 5.0
 
 
 def test_currents_with_torque_constants(files, tmp_path):
