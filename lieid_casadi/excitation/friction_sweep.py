@@ -6,9 +6,8 @@ Half the difference of the torques of both directions at a position is the frict
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,6 @@ from lieid_casadi.excitation.limits import (
 from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
 from lieid_casadi.excitation.trajectory import MotionSamples, csv_text
 from lieid_casadi.model import Model
-from lieid_casadi.output_folder import write_folder
 from lieid_casadi.robot import Robot
 
 SPEEDS = np.deg2rad(
@@ -40,7 +38,7 @@ SPEEDS = np.deg2rad(
     ]
 )  # fmt: skip
 DWELL = 0.5  # s at rest between runs
-STEEPEST, SHARPEST = 1.875, 5.7736  # first and second derivative of the quintic step at most
+STEEPEST = 1.875  # slope of the quintic step at most
 RAMP_MARGIN = 1.1  # on the shortest ramp that the acceleration limit permits
 SHORTEST_RAMP = 0.2  # s
 REACHES = (1.0, 0.7, 0.5, 0.35, 0.25)  # parts of the longest motion for which a pose is searched
@@ -90,10 +88,6 @@ class FrictionSweep:
         table = csv_text(self.motion, self.checked, self.unchecked)
         content = json.dumps({"schema": 1} | self.to_dict(), indent=1)
         return {f"{name}.csv": table.encode(), f"{name}.json": content.encode()}
-
-    def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
-        """Write ``friction_sweep_qJ.csv`` and ``.json`` into a folder, as `Excitation.save`."""
-        return write_folder(folder, self.files(), force=force)
 
 
 def friction_sweep(
@@ -198,30 +192,6 @@ class _Run:
         """Distance of the run, rad."""
         return self.speed * (self.steady + self.ramp)
 
-    @property
-    def duration(self) -> float:
-        """Time from rest to rest, s."""
-        return 2.0 * self.ramp + self.steady
-
-    def at(self, t: Array) -> Array:
-        """Return distance, speed and acceleration (3, N) since the start of the run."""
-        up = np.clip(t / self.ramp, 0.0, 1.0)
-        down = np.clip((t - self.ramp - self.steady) / self.ramp, 0.0, 1.0)
-        # integral of the quintic step
-        covered = [u**4 * (2.5 - 3.0 * u + u**2) for u in (up, down)]
-        distance = self.ramp * (covered[0] + down - covered[1])
-        distance = distance + np.clip(t - self.ramp, 0.0, self.steady)
-        (first, slope), (last, fall) = _step(up)[:2], _step(down)[:2]
-        return np.asarray(
-            self.speed * np.stack([distance, first - last, (slope - fall) / self.ramp])
-        )
-
-
-def _step(u: Array) -> Array:
-    """Return the quintic step from 0 to 1 and its first two derivatives (3, N)."""
-    value = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-    return np.stack([value, 30.0 * u**2 * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)])
-
 
 def _runs(
     limits: MotionRange, joint: int, centre: float, speeds: Array, seconds: float, reach: float
@@ -240,65 +210,53 @@ def _runs(
     return runs, left_out
 
 
-@dataclass
-class _Path:
-    """Position, speed and acceleration of one joint, composed part by part."""
-
-    rate: float
-    time: float = 0.0
-    position: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.times = [np.zeros(1)]
-        self.distances = [np.zeros((3, 1))]
-
-    def add(self, duration: float, distance: Callable[[Array], Array], sign: float = 1.0) -> None:
-        """Append a part of so many seconds that moves by ``sign * distance(t)`` from the end.
-
-        The function returns the distance and its first two time derivatives (3, K) at times (K,)
-        since the start of the part.
-        """
-        count = max(2, round(duration * self.rate))
-        local = duration * np.arange(1, count + 1) / count
-        part = sign * distance(local)
-        part[0] += self.position
-        self.times.append(self.time + local)
-        self.distances.append(part)
-        self.time += duration
-        self.position = float(part[0, -1])
+Phase = tuple[float, float, float]  # duration, s, and the speed before and after it, rad/s
 
 
 def _motion(
     pose: Array, joint: int, runs: Sequence[_Run], rate: float, acceleration: float
 ) -> tuple[MotionSamples, tuple[ConstantSpeed, ...]]:
     """Compose the runs: to the start, forward, backward, to the next start."""
-    path, parts = _Path(rate), []
+    phases, parts = list[Phase](), list[ConstantSpeed]()
     fastest = max(run.speed for run in runs)
 
-    def rest() -> None:
-        path.add(DWELL, lambda t: np.zeros((3, len(t))))
-
     def go(target: float) -> None:
-        distance = target - path.position
-        seconds = max(
-            1.0,
-            STEEPEST * abs(distance) / fastest,
-            float(np.sqrt(RAMP_MARGIN * SHARPEST * abs(distance) / acceleration)),
-        )
-        scale = distance / seconds ** np.arange(3)[:, None]
-        path.add(seconds, lambda t: scale * _step(t / seconds))
+        distance = target - sum(0.5 * seconds * (a + b) for seconds, a, b in phases)
+        shortest = np.sqrt(RAMP_MARGIN * STEEPEST * abs(distance) / acceleration)
+        seconds = max(0.5, abs(distance) / fastest, float(shortest))
+        phases.extend([(seconds, 0.0, distance / seconds), (seconds, distance / seconds, 0.0)])
 
     for run in runs:
         go(-0.5 * run.travel)
-        for sign in (1.0, -1.0):
-            rest()
-            begins = path.time + run.ramp
-            parts.append(ConstantSpeed(sign * run.speed, begins, begins + run.steady))
-            path.add(run.duration, run.at, sign)
-    rest()
+        for speed in (run.speed, -run.speed):
+            phases.append((DWELL, 0.0, 0.0))
+            begins = sum(seconds for seconds, _, _ in phases) + run.ramp
+            parts.append(ConstantSpeed(speed, begins, begins + run.steady))
+            phases += [(run.ramp, 0.0, speed), (run.steady, speed, speed), (run.ramp, speed, 0.0)]
+    phases.append((DWELL, 0.0, 0.0))
     go(0.0)
-    time, moved = np.concatenate(path.times), np.concatenate(path.distances, axis=1)
+    time, moved = _sampled(phases, rate)
     signals = np.zeros((3, len(time), len(pose)))
     signals[0] = pose
     signals[:, :, joint] += moved
     return MotionSamples(time, *signals), tuple(parts)
+
+
+def _sampled(phases: Sequence[Phase], rate: float) -> tuple[Array, Array]:
+    """Return times (N,), and distance, speed and acceleration (3, N) along phases.
+
+    In a phase the speed changes by a quintic step.
+    """
+    times, motions, start, distance = [np.zeros(1)], [np.zeros((3, 1))], 0.0, 0.0
+    for seconds, before, after in phases:
+        count = max(2, round(seconds * rate))
+        u, change = np.arange(1, count + 1) / count, after - before
+        step = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        covered = u * before + u**4 * (2.5 - 3.0 * u + u**2) * change  # per second of the phase
+        slope = 30.0 * u**2 * (1.0 - u) ** 2 / seconds
+        times.append(start + seconds * u)
+        motions.append(
+            np.stack([distance + seconds * covered, before + change * step, change * slope])
+        )
+        start, distance = start + seconds, float(motions[-1][0, -1])
+    return np.concatenate(times), np.concatenate(motions, axis=1)
