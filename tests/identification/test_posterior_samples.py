@@ -84,7 +84,7 @@ def test_inconsistent_fits_are_refused(fit):
         fit.sample(0)
 
 
-def test_command_writes_arrays_and_models(fit, tmp_path, capsys):
+def test_command_writes_arrays_and_models(fit, tmp_path, capsys, refusal):
     import mujoco
 
     fit.save(tmp_path / "fit.json")
@@ -97,4 +97,4 @@ def test_command_writes_arrays_and_models(fit, tmp_path, capsys):
     assert list(arrays["effect_coefficients_names"]) == [c.label for c in fit.model.columns]
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "sample_002.xml"))
     assert model.body_mass[1] == pytest.approx(expected[1].link_parameters[0], rel=1e-9)
-    assert main([*words[:3], "0", "-o", str(tmp_path / "none")]) == 2
+    refusal([*words[:3], "0", "-o", tmp_path / "none"], "expected a whole number, 1 or more")
