@@ -38,7 +38,6 @@ from lieid_casadi.simulation import window_drift
 from lieid_casadi.workbench.arm import ArmMotion, arm_motion
 from lieid_casadi.workbench.evaluation import (
     EffectCurve,
-    Effort,
     Evaluation,
     OpenedInputs,
     effect_curves,
@@ -52,6 +51,7 @@ from lieid_casadi.workbench.session import (
     ModelStep,
     Progress,
     ProposedEffect,
+    Role,
     StepErrors,
     WorkbenchInputs,
     WorkerSetup,
@@ -60,10 +60,10 @@ from lieid_casadi.workbench.session import (
 
 Kind = Literal["fit", "report", "c", "urdf", "mjcf"]
 Kept = TypeVar("Kept")
-QUICK_ROWS = 60_000  # rows of all recordings above which the first result is that of a part
-HELD_ROWS = 6000  # rows to fit times shape parameters, above which the first result holds these
-KEPT_RESULTS, KEPT_PREPARED = 40, 6  # of each kind; of processed recordings, which are large
-MOST_STRETCHES = 8  # of each recording in a quick fit
+QUICK_ROWS = 60_000  # rows of all recordings above which the first fit is that of a part
+SHAPE_ROWS = 10_000  # of the grid, above which it finds shape parameters on a part
+KEPT_RESULTS, KEPT_PREPARED = 40, 8  # of each kind; of processed recordings, which are large
+MOST_STRETCHES = 8  # of each recording in such a part
 LEAST_DURATION = 5.0  # s, of a stretch; the filter needs a second at each of its ends
 SEARCHES = {
     "missing": "“Find what is missing” searches the library of effects",
@@ -85,7 +85,6 @@ class Computation:
         self._rows = sum(len(r) for r in self.recordings)
         self._results: dict[tuple[object, ...], Any] = {}
         self._processing: Processing | None = None if fit is None else fit.processing
-        self._shapes: dict[str, float] = {}
 
     def opened(self) -> OpenedInputs:
         """Return facts about the robot and the recordings."""
@@ -110,26 +109,35 @@ class Computation:
         step: ModelStep,
         *,
         quick: bool,
-        shapes: dict[str, float],
         report: Progress,
         processing: Processing | None = None,
     ) -> Evaluation:
         """Return the fit of a step, compared with all recordings.
 
-        A quick one holds the shape parameters of long recordings (those that no fit has found at
-        ``shapes``, by label), uses parts of very long ones, and leaves out what takes longer than
-        the fit: standard deviations, and the noise floor, which is that of the model before. A
-        first model has both.
+        A quick one is fitted to evenly spread parts of very long recordings, with shape parameters
+        from smaller parts; its error is still that of the whole test. It leaves out what takes
+        longer than the fit: standard deviations, and the noise floor, which is that of the model
+        before. A first model has both, unless the recordings are very long.
         ``processing`` is that of the fits of another process, so that all have the same filter.
         """
         self._processing = self._processing or processing
-        self._shapes = shapes | self._shapes
-        effort = self._effort(step, quick=quick)
-        return self._evaluation(self._fit(step, effort, report), step, effort)
+        share = min(1.0, QUICK_ROWS / self._rows)
+        brief = share < 1.0 or ("noise", step.excluded) in self._results
+        if not quick or not brief or ("fit", step.key) in self._results:
+            return self._evaluation(step, self.fit(step, report))
+        fit, exact = self._quick_fit(step, share, report)
+        return self._evaluation(step, fit, exact=exact, complete=False, share=share)
 
     def fit(self, step: ModelStep, report: Progress) -> Fit:
         """Return the exact fit of a step, with standard deviations."""
-        return self._fit(step, Effort(), report)
+        kept: Fit | None = self._kept_fit or self._results.get(("fit", step.key))
+        if kept is None:
+            model, first = Model(self.robot, step.effects), self._first(step, 1.0, report)
+            kept = first
+            if first.model.effects != model.effects:
+                train = self._prepared("train", step, first, 1.0)
+                kept = train.fitted(model, first, report=report)
+        return self._keep(("fit", step.key), kept)
 
     def find(
         self,
@@ -160,8 +168,8 @@ class Computation:
         with tempfile.NamedTemporaryFile(suffix=".json") as file:  # its owner alone can read it
             file.write(content)
             file.flush()
-            fit = self._keep(("fit", step.key, False, False), Fit.load(file.name))
-        return self._evaluation(fit, step, Effort())
+            fit = self._keep(("fit", step.key), Fit.load(file.name))
+        return self._evaluation(step, fit)
 
     def curves(
         self, step: ModelStep, *, recording: int, report: Progress
@@ -204,12 +212,9 @@ class Computation:
             export(fit, target, to=kind)
             return f"{fit.model.robot.name}_{kind}.zip", _zipped(target)
 
-    def used(
-        self, step: ModelStep, *, thinned: bool = False
-    ) -> tuple[list[Recording], list[Recording]]:
-        """Return training and test recordings without what is excluded."""
+    def used(self, step: ModelStep, share: float = 1.0) -> tuple[list[Recording], list[Recording]]:
+        """Return training and test recordings without what is excluded, or a share of them."""
         used: dict[str, list[Recording]] = {"train": [], "test": []}
-        share = QUICK_ROWS / self._rows if thinned else 1.0
         both = zip(self.inputs.recordings, self.recordings, strict=True)
         for k, (given, recording) in enumerate(both):
             role = "test" if self.inputs.mode == "changed" else given.role
@@ -225,94 +230,81 @@ class Computation:
         train = [recording for given, recording in both if given.role == "train"]
         return Model(self.robot, self.inputs.effects or default_effects(self.robot, train).names)
 
-    def _effort(self, step: ModelStep, *, quick: bool) -> Effort:
-        """Return what a fit of a step leaves out."""
-        if not quick or ("fit", step.key, False, False) in self._results:
-            return Effort()
-        thinned = self._rows > QUICK_ROWS
-        both = zip(self.inputs.recordings, self.recordings, strict=True)
-        rows = sum(len(recording) for given, recording in both if given.role == "train")
-        shapes = sum(shape.fitted for shape in Model(self.robot, step.effects).shapes)
-        return Effort(
-            held=self.inputs.mode == "missing" and shapes * rows > HELD_ROWS,
-            thinned=thinned,
-            brief=("noise", step.excluded, thinned) in self._results,
-        )
-
-    def _fit(self, step: ModelStep, effort: Effort, report: Progress) -> Fit:
-        """Return the fit of a step; the first of its recordings also chooses the filter."""
-        key = ("fit", step.key, effort.held, effort.thinned)
-        kept: Fit | None = self._kept_fit or self._results.get(key)
-        if kept is not None:
-            return kept
-        model, held = Model(self.robot, step.effects), None
-        if effort.held:
-            held = np.array(
-                [self._shapes.get(s.label, s.initial) if s.fitted else np.nan for s in model.shapes]
-            )
-        first = self._results.get(("first fit", step.excluded, effort.thinned))
-        if first is None:
-            train, _ = self.used(step, thinned=effort.thinned)
-            fit = identify(
-                model, train, processing=self._processing, held_shapes=held, progress=report
-            )
-            self._keep(("first fit", step.excluded, effort.thinned), fit)
-            self._processing = fit.processing
-        else:
-            prepared, _ = self._prepared(step, first, thinned=effort.thinned)
-            assert prepared is not None
-            uncertain = not effort.brief
-            fit = prepared.fitted(
-                model, first, held_shapes=held, uncertainty=uncertain, report=report
-            )
-        if not effort.held:
-            found = zip(model.shapes, fit.shapes, strict=True)
-            self._shapes.update({s.label: float(v) for s, v in found})
-        return fit if first is not None and effort.brief else self._keep(key, fit)
-
-    def _prepared(
-        self, step: ModelStep, fit: Fit, *, thinned: bool
-    ) -> tuple[PreparedRecordings | None, PreparedRecordings | None]:
-        """Return training and test recordings of a step, processed for its fits."""
-        key = ("prepared", step.excluded, thinned)
+    def _first(self, step: ModelStep, share: float, report: Progress) -> Fit:
+        """Return the first fit to a share of these recordings, which also chooses the filter."""
+        key = ("first", step.excluded, share)
         if key not in self._results:
-            train, test = self.used(step, thinned=thinned)
-            made = (
-                PreparedRecordings.of(fit, train, average=True) if train else None,
-                PreparedRecordings.of(fit, test, average=False) if test else None,
-            )
-            self._keep(key, made)
+            model, (train, _) = Model(self.robot, step.effects), self.used(step, share)
+            fit = identify(model, train, processing=self._processing, progress=report)
+            self._processing = fit.processing
+            self._keep(key, fit)
         return self._results[key]  # type: ignore[no-any-return]
 
-    def _evaluation(self, fit: Fit, step: ModelStep, effort: Effort) -> Evaluation:
-        """Compare a fit with all recordings of a step; an opened fit has no training.
+    def _quick_fit(self, step: ModelStep, share: float, report: Progress) -> tuple[Fit, bool]:
+        """Return a fit without standard deviations, and whether it is exact apart from these."""
+        if self._kept_fit is not None:
+            return self._kept_fit, True
+        model, first = Model(self.robot, step.effects), self._first(step, share, report)
+        train, held = self._prepared("train", step, first, share), None
+        rows = sum(len(segment.q) for segment in train.segments)
+        fitted = np.array([shape.fitted for shape in model.shapes], dtype=bool)
+        if rows > SHAPE_ROWS and fitted.any():
+            part = self._prepared("train", step, first, share * SHAPE_ROWS / rows)
+            shapes = part.fitted(model, first, uncertainty=False, report=report).shapes
+            held = np.where(fitted, shapes, np.nan)
+        fit = train.fitted(model, first, held_shapes=held, uncertainty=False, report=report)
+        return fit, share == 1.0 and held is None
 
-        The noise floor of a brief evaluation is that of the model before.
+    def _prepared(self, role: Role, step: ModelStep, fit: Fit, share: float) -> PreparedRecordings:
+        """Return the recordings of a role, or a share of them, processed for fits of a step."""
+        key = ("prepared", role, step.excluded, share)
+        if key not in self._results:
+            given = self.used(step, share)[role == "test"]
+            self._keep(key, PreparedRecordings.of(fit, given, average=role == "train"))
+        return self._results[key]  # type: ignore[no-any-return]
+
+    def _evaluation(
+        self,
+        step: ModelStep,
+        fit: Fit,
+        *,
+        exact: bool = True,
+        complete: bool = True,
+        share: float = 1.0,
+    ) -> Evaluation:
+        """Compare a fit with the recordings of a step; an opened fit has no training.
+
+        The noise floor of an incomplete evaluation is that of the model before. Without a test, the
+        error of a fit to a share of the training is not below that of the whole training.
         """
-        train, test = self._prepared(step, fit, thinned=effort.thinned)
-        key = ("noise", step.excluded, effort.thinned)
-        noise: Comparison | None = self._results.get(key) if effort.brief else None
+        train, test = self.used(step)
+        key = ("noise", step.excluded)
         on_train = on_test = None
-        if train is not None:
-            on_train = train.compared(fit, step.changes, noise=noise, with_noise=test is None)
-        if test is not None:
-            on_test = test.compared(fit, step.changes, noise=noise)
+        if train:
+            prepared = self._prepared("train", step, fit, share if test else 1.0)
+            on_train = prepared.compared(fit, step.changes, with_noise=complete and not test)
+        if test:
+            prepared = self._prepared("test", step, fit, 1.0)
+            on_test = prepared.compared(fit, step.changes, with_noise=complete)
         shown = on_test or on_train
         assert shown is not None
-        if noise is None:
-            self._keep(key, replace(shown, series=()))
-        trained = on_train.rms_moving if on_train is not None else np.full(fit.model.n, np.nan)
-        error = fit.rms_cv if on_test is None else on_test.rms_moving
+        if complete:
+            self._keep(key, shown.noise_floor)
+        elif key in self._results:  # a noise floor never exceeds the error; NaN: a joint at rest
+            shown = replace(shown, noise_floor=np.minimum(self._results[key], shown.rms_moving))
+        trained = np.full(fit.model.n, np.nan) if on_train is None else on_train.rms_moving
+        error = shown.rms_moving if test else fit.rms_cv
+        if share < 1.0 and not test:
+            error = np.fmax(error, shown.rms_moving)
         columns = (trained, error, shown.noise_floor, _spread(shown))
         return Evaluation(
-            exact=not (effort.held or effort.thinned),
-            complete=effort == Effort(),
+            exact=exact,
+            complete=complete,
             errors=StepErrors(*(tuple(numbers_or_none(values)) for values in columns)),
             train=on_train,
             test=on_test,
             sentence="\n".join(verdict_sentences(shown, SEARCHES[self.inputs.mode])),
             effects=effect_rows(fit, step.changes),
-            shapes={s.label: float(v) for s, v in zip(fit.model.shapes, fit.shapes, strict=True)},
             cutoff=fit.processing.cutoff or shown.cutoff,
             processing=fit.processing,
         )
@@ -415,9 +407,9 @@ class PreparedRecordings:
         model: Model,
         first: Fit,
         *,
-        held_shapes: Array | None,
-        uncertainty: bool,
         report: Progress,
+        held_shapes: Array | None = None,
+        uncertainty: bool = True,
     ) -> Fit:
         """Return the fit of another model with the method and filter of the first one.
 
@@ -438,32 +430,18 @@ class PreparedRecordings:
         )
 
     def compared(
-        self,
-        fit: Fit,
-        changes: Sequence[ProposedEffect],
-        *,
-        noise: Comparison | None,
-        with_noise: bool = True,
+        self, fit: Fit, changes: Sequence[ProposedEffect], *, with_noise: bool
     ) -> Comparison:
-        """Return the comparison of a fit, with changes since it, with these recordings.
-
-        Its noise floor is that of ``noise``, the comparison of another model, if it is given;
-        without ``with_noise``, the result has none.
-        """
+        """Return the comparison of a fit, with changes since it, with these recordings."""
         check_recordings(fit.model, self.recordings)
-        made = compare_segments(
+        return compare_segments(
             fit,
             self.recordings,
             self.segments,
             added=[_torque_of(changes, fit, segment) for segment in self.segments],
             warnings=self.warnings,
-            with_noise=with_noise and noise is None,
+            with_noise=with_noise,
         )
-        if noise is None or not with_noise:
-            return made
-        # A noise floor never exceeds the error; np.minimum keeps NaN of joints that do not move.
-        floor = np.minimum(noise.noise_floor, made.rms_moving)
-        return replace(made, noise_floor=floor, noise_source=noise.noise_source)
 
 
 def _torque_of(changes: Sequence[ProposedEffect], fit: Fit, segment: Processed) -> Array:

@@ -105,28 +105,15 @@ class EffectRow:
         return make(self.label.partition(":")[0])
 
 
-@dataclass(frozen=True)
-class Effort:
-    """What a fit leaves out, so that its errors can be shown early.
-
-    ``held``: shape parameters are held. ``thinned``: only evenly spread parts of the recordings
-    are used. ``brief``: no standard deviations, and the noise floor is that of the model before.
-    """
-
-    held: bool = False
-    thinned: bool = False
-    brief: bool = False
-
-
 @dataclass(frozen=True, eq=False)
 class Evaluation:
     """A fitted model compared with all recordings.
 
-    It is ``exact`` unless shape parameters were held or only parts of the recordings were used,
+    It is ``exact`` unless shape parameters or coefficients were found on parts of the recordings,
     and ``complete`` if it has the standard deviations and the noise floor of this model, too.
     ``train`` compares with the recordings that were fitted, ``test`` with the others (all, if the
-    fit is kept); their series are named by the recordings' titles. Later fits start from ``shapes``
-    (by label); ``cutoff`` is that of the filter in ``processing``, Hz.
+    fit is kept); their series are named by the recordings' titles. ``cutoff`` is that of the filter
+    in ``processing``, Hz.
     """
 
     exact: bool
@@ -136,7 +123,6 @@ class Evaluation:
     test: Comparison | None
     sentence: str
     effects: tuple[EffectRow, ...]
-    shapes: dict[str, float]
     cutoff: float
     processing: Processing | None = None
 
@@ -258,7 +244,6 @@ def _axis(effect: Effect) -> str:
 def found_effects(diagnosis: Diagnosis, effects: tuple[str, ...]) -> FoundEffects:
     """Return what a diagnosis of a model with these effects found."""
     model = diagnosis.fit.model
-    shapes = zip(model.shapes, diagnosis.fit.shapes, strict=True)
     changed = diagnosis.mode == "changed"
     path = diagnosis.shown[1]
     return FoundEffects(
@@ -267,7 +252,6 @@ def found_effects(diagnosis: Diagnosis, effects: tuple[str, ...]) -> FoundEffect
         proposed=tuple(_proposed(step, diagnosis.mode, path[-1]) for step in diagnosis.steps),
         effects=effects,
         unexplained=tuple(map(unexplained_sentence, diagnosis.unexplained)),
-        shapes=tuple((parameter.label, float(value)) for parameter, value in shapes),
         model=() if changed else tuple(p.label for p in model.placements),
         path=tuple(tuple(numbers_or_none(errors)) for errors in path),
         summary=diagnosis_summary(diagnosis),

@@ -171,9 +171,8 @@ class ProposedEffect:
 class FoundEffects:
     """Result of a diagnosis of a model with ``effects``.
 
-    ``unexplained`` are sentences on the residual, ``shapes`` the shape parameters with all
-    proposed effects, ``model`` the effects of the final model (none if a fit is kept), and
-    ``path`` the unseen error of every joint after each step, N·m.
+    ``unexplained`` are sentences on the residual, ``model`` the effects of the final model (none if
+    a fit is kept), and ``path`` the unseen error of every joint after each step, N·m.
     """
 
     verdict: str
@@ -181,7 +180,6 @@ class FoundEffects:
     proposed: tuple[ProposedEffect, ...]
     effects: tuple[str, ...]
     unexplained: tuple[str, ...] = ()
-    shapes: tuple[tuple[str, float], ...] = ()
     model: tuple[str, ...] = ()
     path: tuple[Numbers, ...] = ()
     summary: str = ""  # by how much the error falls with all of them
@@ -337,6 +335,8 @@ class Session:
             return self
         both = zip(errors.shown, errors.noise_floor, strict=True)
         ratios = [error / floor if error and floor else 0.0 for error, floor in both]
+        if not any(ratios):  # no noise floor so far
+            ratios = [-(errors.fit_percent(j) or 100.0) for j in range(len(ratios))]
         return replace(self, joint=ratios.index(max(ratios)))
 
     def at(self, position: int) -> Session:

@@ -367,8 +367,7 @@ class Workbench:
         self, worker: Worker, step: ModelStep, *, quick: bool
     ) -> Evaluation | None:
         """Return the evaluation of a step; None if it was stopped or, with ``error``, failed."""
-        shapes = {} if self.session.found is None else dict(self.session.found.shapes)
-        options = {"quick": quick, "shapes": shapes, "processing": self._filter}
+        options = {"quick": quick, "processing": self._filter}
         name = "fitting" if quick else ""
         made: Evaluation | None = await self._long(name, worker, "evaluate", step, **options)
         return made

@@ -4,13 +4,12 @@
 
 Without ``--samples`` on the UR10e recordings (80 s to fit, LIEID_RECORDINGS), otherwise on
 simulated recordings of that many samples. Every second click adds another effect of the library to
-the first model, on another joint, so that it needs a fit; the others undo it. "server" is the fit
-and the comparisons in the worker process; "page" is the time from the click to the new number and
-drawn figures in the page, in a browser that renders in software on the same cores; "browser" is the
-difference. The CPU times, of the worker and of the main thread of the page, depend little on what
-else runs on the machine. Standard deviations and noise floor follow later and are not part of these
-times: the next click comes half a second after the numbers, whether they are there or not. Memory:
-of the server and its processes, and of the page, after a tenth of the clicks and after all.
+the first model, on another joint, so that it needs a fit; the others undo it. "page" is the time
+from the click to the new number and drawn figures in the page, in a browser that renders in
+software on the same cores; "browser CPU" is that of the main thread of the page. Standard
+deviations and noise floor follow later and are not part of these times: the next click comes half a
+second after the numbers, whether they are there or not. Memory: of the server and its processes,
+and of the page, after a tenth of the clicks and after all.
 """
 
 import argparse
@@ -41,7 +40,7 @@ from lieid_casadi.workbench.session import (
 KINDS = (
     "load_friction", "stribeck", "viscous_polynomial", "presliding", "position_friction",
     "transmission_coupling", "armature", "torque_delay", "viscous_asymmetric", "torque_ripple",
-    "sigmoid_friction", "bias_drift", "torque_gain", "backlash", "position_spring",
+    "sigmoid_friction", "bias_drift", "torque_gain", "position_spring",
     "joint_elasticity", "torque_lowpass",
 )  # fmt: skip
 JOINTS = 6
@@ -71,8 +70,8 @@ function look() {
   fitting = fitting || waiting;
   if (fitting && !waiting && !missing.size) {
     const took = performance.now() - begun;
-    done([took, find("verdict").dataset.seconds]);
-  } else if (performance.now() - begun > 60000) done([-1, "0 0"]);
+    done(took);
+  } else if (performance.now() - begun > 60000) done(-1);
   else setTimeout(look, 4);
 }
 look();
@@ -137,7 +136,7 @@ def memory(page, server) -> tuple[float, float]:
 
 
 def measure(inputs: WorkbenchInputs, folder: Path, clicks: int):
-    """Return the times of the page and of the server, s, one per fit, and the memory."""
+    """Return the times of the page, s, one per fit, and the memory."""
     words = [inputs.robot]
     for role in ("train", "test"):
         words += [f"--{role}", *inputs.paths(role)]
@@ -171,14 +170,10 @@ def measure(inputs: WorkbenchInputs, folder: Path, clicks: int):
         for k, label in enumerate(effects):
             spot = label.replace(":", "-").partition("<")[0]
             before = thread_time(page)
-            took, seconds = page.driver.execute_async_script(CLICK, f"candidate-{spot}")
-            took, (wall, cpu) = took / 1000.0, map(float, seconds.split())
+            took = page.driver.execute_async_script(CLICK, f"candidate-{spot}") / 1000.0
             drawing = thread_time(page) - before
-            times.append((label, took, wall, cpu, drawing))
-            sys.stdout.write(
-                f"{label:28} page {took:.2f} s, server {wall:.2f} s, "
-                f"CPU {cpu:.2f} s and {drawing:.2f} s\n"
-            )
+            times.append((label, took, drawing))
+            sys.stdout.write(f"{label:28} page {took:.2f} s, browser CPU {drawing:.2f} s\n")
             sys.stdout.flush()
             time.sleep(0.5)
             page.click("undo")
@@ -206,11 +201,8 @@ def main() -> None:
     both = np.array([row[1:] for row in times])
     result = {
         name: {f"p{p}": round(float(np.percentile(values, p)), 3) for p in (50, 95)}
-        for name, values in (
-            ("page", both[:, 0]), ("server", both[:, 1]), ("server CPU", both[:, 2]),
-            ("browser", both[:, 0] - both[:, 1]), ("browser CPU", both[:, 3]),
-        )
-    }  # fmt: skip
+        for name, values in (("page", both[:, 0]), ("browser CPU", both[:, 1]))
+    }
     result["MB of server and page"] = used
     sys.stdout.write(f"{result}\n")
     if args.json:

@@ -50,9 +50,9 @@ def shown(words):
     inputs = inputs_of(args)
     computation = Computation(setup, inputs)
     session = Session().opened(inputs, computation.opened().effects)
-    computation.evaluate(session.step, quick=True, shapes={}, report=ignored)
+    computation.evaluate(session.step, quick=True, report=ignored)
     session = replace(session.with_added("load_friction:1"), recording=0).excluding(3.123, 4.5)
-    evaluation = computation.evaluate(session.step, quick=False, shapes={}, report=ignored)
+    evaluation = computation.evaluate(session.step, quick=False, report=ignored)
     return session, evaluation, computation.fit(session.step, ignored)
 
 

@@ -30,7 +30,6 @@ def evaluation(*, exact, complete, series):
         test=None,
         sentence="",
         effects=(),
-        shapes={},
         cutoff=10.0,
     )
 
