@@ -1,12 +1,8 @@
-import os
 from pathlib import Path
 
 import hypothesis
 import pytest
 from real_arms import FOLDER
-
-# On a busy machine a compiler may exceed the default; tests would go on without compiled code.
-os.environ.setdefault("LIEID_COMPILER_TIMEOUT", "600")
 
 # No test depends on how fast the machine is.
 hypothesis.settings.register_profile("any machine", deadline=None, max_examples=40)

@@ -22,7 +22,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         that the fit has
     --runtime NAME,NAME…  numbers that are arguments of the C functions: payload,
         parameters; default: none
-    --float32  C in single precision
     --compensated FIT2: input  for ur-friction: fit of motion under direct torque with the
         default scales
     @EFFECTS_FILE
@@ -34,7 +33,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         (f"--prefix {args.prefix}:", args.prefix is not None, "a prefix applies"),
         ("--functions:", args.functions is not None, "a choice of functions applies"),
         ("--runtime", args.runtime is not None, "applies"),
-        ("--float32", args.float32, "applies"),
     ):
         if given and args.to != "c":
             raise UsageError(f"{name} {what} to C code; expected --to c")
@@ -45,7 +43,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         prefix=args.prefix,
         functions=None if args.functions is None else args.functions.split(","),
         runtime=() if args.runtime is None else args.runtime.split(","),
-        float32=args.float32,
         compensated=None if args.compensated is None else Fit.load(args.compensated),
         force=args.force,
     )

@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
 
             result = run_fleet(
                 fleet, history, options=settings, since=args.since, newest=args.night,
-                rerun=args.rerun, connected=_connected, progress=advanced,
+                rerun=args.rerun, progress=advanced,
             )  # fmt: skip
         if args.keep is not None:
             removed = history.remove_before(datetime.now(UTC).date() - timedelta(days=args.keep))
@@ -137,11 +137,6 @@ def _notify(command: str, lines: list[dict[str, Any]]) -> None:
     done = subprocess.run(command, shell=True, input=text.encode(), check=False)
     if done.returncode:
         output.show(f"  ! --on-alarm: the command ended with status {done.returncode}")
-
-
-def _connected(dashboard: str) -> None:
-    output.show(f"Dask dashboard: {dashboard}")
-    sys.stdout.flush()
 
 
 @contextmanager
@@ -266,28 +261,20 @@ def acknowledge(args: argparse.Namespace) -> output.Outcome:
     --note TEXT required  what was found or done
     --date DATE: night  last night before the repair; default: the arm's last night in the
         history
-    --refit FLEET.yaml  the change lasts: estimate the changed coefficients again from the
-        nights since, and write a fit beside the present one
     """
     from lieid_casadi.fleet.alarms import acknowledge, identify_again, open_alarms
-    from lieid_casadi.fleet.config import read_fleet
     from lieid_casadi.fleet.history import History
-    from lieid_casadi.fleet.run import reidentify
 
     with History(args.history, new=False, wait=args.wait) as history:
         alarms = open_alarms(history, args.serial, args.joint)
-        advice = ""
-        if args.refit is not None:
-            if not alarms:
-                raise UsageError(f"--refit: arm {args.serial} has no such open alarm")
-            advice = reidentify(history, read_fleet(args.refit), alarms)
         last = acknowledge(history, args.serial, joint=args.joint, note=args.note, last=args.date)
         lasting = [alarm for alarm in alarms if alarm.last == last]
-        if lasting and not advice:
-            advice = (
-                "The arm differed from its fit until the last night. If the change lasts, --refit "
-                f"estimates the changed coefficients again. {identify_again(history, lasting[0])}"
-            )
+        advice = (
+            "The arm differed from its fit until the last night. If the change lasts: "
+            f"{identify_again(history, lasting[0])}"
+            if lasting
+            else ""
+        )
     where = f" of joint {args.joint}" if args.joint else ""
     plural = "" if len(alarms) == 1 else "s"
     text = (

@@ -1,14 +1,12 @@
 """Compiled libraries on disk, kept between runs of a program.
 
 A library runs with the user's rights when it is loaded. It is therefore used only if its file and
-folder belong to the user and nobody else may write to them. A checksum follows each library: a file
-that a crash or a full disk cut short is not loaded but built again. Files are written under another
-name and renamed, so that two processes may build the same one at once.
+folder belong to the user and nobody else may write to them. Files are written under another name,
+synchronized and renamed: each is whole, and two processes may build the same one at once.
 """
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import stat
@@ -18,8 +16,6 @@ from pathlib import Path
 
 logger = logging.getLogger("lieid_casadi")
 
-MARK = b"lieid-casadi:1:"
-TAIL = len(MARK) + hashlib.sha256().digest_size
 KEEP = 2000  # libraries of about 60 kB; beyond it the oldest are deleted
 
 
@@ -41,11 +37,11 @@ def cache_folder() -> Path | None:
 
 
 def find(key: str) -> Path | None:
-    """Return the path of a key's library if it is complete and safe to load, else None."""
+    """Return the path of a key's library if it is there and safe to load, else None."""
     folder = cache_folder()
     for place in (*([folder] if folder else []), *_private_folders):
         path = place / f"{key}.so"
-        if path.exists() and not unsafe(place) and not unsafe(path) and is_whole(path):
+        if path.exists() and not unsafe(place) and not unsafe(path):
             return path
     return None
 
@@ -61,15 +57,6 @@ def unsafe(path: Path) -> str:
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return f"others may write to it (mode {stat.S_IMODE(status.st_mode):o})"
     return ""
-
-
-def is_whole(path: Path) -> bool:
-    """Whether a library is there with all its bytes."""
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return False
-    return len(data) > TAIL and data[-TAIL:] == _tail(data[:-TAIL])
 
 
 def store(key: str, library: bytes) -> Path:
@@ -105,17 +92,15 @@ def _write(folder: Path, key: str, library: bytes) -> Path:
     handle, name = tempfile.mkstemp(prefix=f".{key[:16]}-", dir=folder)
     try:
         with os.fdopen(handle, "wb") as file:
-            file.write(library + _tail(library))
+            file.write(library)
+            file.flush()
+            os.fsync(file.fileno())
         os.chmod(name, 0o700)
         os.replace(name, path)
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
     return path
-
-
-def _tail(library: bytes) -> bytes:
-    return MARK + hashlib.sha256(library).digest()
 
 
 def _prune(folder: Path) -> None:

@@ -166,22 +166,6 @@ class Compiled:
         """Return the full regressor Y (N, n, 10 n) of the rigid torque."""
         return self._evaluate("regressor", self._samples(q=q, dq=dq, ddq=ddq), call)
 
-    def slotine_li_regressor(
-        self,
-        q: ArrayLike,
-        dq: ArrayLike,
-        dq_r: ArrayLike,
-        ddq_r: ArrayLike,
-        **call: Unpack[Call],
-    ) -> Array:
-        """Return Y(q, q̇, q̇_r, q̈_r) (N, n, 10 n): Y·π = M·q̈_r + C·q̇_r + G with Ṁ − 2C skew.
-
-        ``dq_r``, ``ddq_r`` (N, n) are the reference motion of an adaptive controller (Slotine, Li,
-        "On the adaptive control of robot manipulators", IJRR 1987), rad/s, rad/s².
-        """
-        values = self._samples(q=q, dq=dq, dq_r=dq_r, ddq_r=ddq_r)
-        return self._evaluate("slotine_li_regressor", values, call)
-
     def inverse_dynamics(
         self,
         q: ArrayLike,
@@ -197,13 +181,6 @@ class Compiled:
     def mass_matrix(self, q: ArrayLike, parameters: ArrayLike, **call: Unpack[Call]) -> Array:
         """Return M(q) (N, n, n) of link parameters, kg·m²."""
         return self._evaluate("mass_matrix", self._samples(q=q) | self._links(parameters), call)
-
-    def coriolis_matrix(
-        self, q: ArrayLike, dq: ArrayLike, parameters: ArrayLike, **call: Unpack[Call]
-    ) -> Array:
-        """Return C(q, q̇) (N, n, n) of link parameters, with Ṁ − 2C skew-symmetric."""
-        values = self._samples(q=q, dq=dq) | self._links(parameters)
-        return self._evaluate("coriolis_matrix", values, call)
 
     def gravity(self, q: ArrayLike, parameters: ArrayLike, **call: Unpack[Call]) -> Array:
         """Return G(q) (N, n) of link parameters, N·m."""
@@ -373,9 +350,8 @@ class Compiled:
             starts = (0, int(np.sum(kept < 10 * n)))
             return starts[: len(_PARTS[name])], (n, len(kept))
         shapes = {
-            "regressor": (n, 10 * n), "slotine_li_regressor": (n, 10 * n),
-            "effect_columns": (n, len(self.model.columns)), "mass_matrix": (n, n),
-            "coriolis_matrix": (n, n), "jacobian": (6, n),
+            "regressor": (n, 10 * n), "effect_columns": (n, len(self.model.columns)),
+            "mass_matrix": (n, n), "jacobian": (6, n),
         }  # fmt: skip
         return (0,), shapes.get(name, (n, 1))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import os
 import platform
 import shlex
@@ -21,10 +20,7 @@ FLAGS = (
     "-ffp-contract=off",  # the same bits with any number of lanes, on any processor
     "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi",
 )  # fmt: skip
-DEFAULT_TIMEOUT = 30.0  # s; a kernel takes well below one
-LONGEST_TIMEOUT = 86_400.0  # s
-
-logger = logging.getLogger("lieid_casadi")
+TIMEOUT = 120.0  # s; a kernel takes well below one
 
 
 @dataclass(frozen=True)
@@ -99,13 +95,13 @@ def find_compiler() -> Compiler:
 def build(compiler: Compiler, target: Target, source: Path, library: Path, include: Path) -> None:
     """Compile one C file to a shared library, with headers of the folder ``include``.
 
-    `CompilerError`: the compiler failed, or took longer than ``LIEID_COMPILER_TIMEOUT`` s (30).
+    `CompilerError`: the compiler failed, or took longer than `TIMEOUT`.
     """
     command = [
         *compiler.command, *FLAGS, *target.flags, f"-DLIEID_LANES={target.lanes}", f"-I{include}",
         str(source), "-o", str(library), "-lm",
     ]  # fmt: skip
-    name, limit = compiler.command[0], timeout()
+    name = compiler.command[0]
     try:
         # a new session, so that the children of the compiler driver end with it
         process = subprocess.Popen(
@@ -116,32 +112,15 @@ def build(compiler: Compiler, target: Target, source: Path, library: Path, inclu
         raise CompilerError(f"{name} cannot be started: {error.strerror}") from None
     with process:
         try:
-            _, complaint = process.communicate(timeout=limit)
+            _, complaint = process.communicate(timeout=TIMEOUT)
         except BaseException as error:  # Ctrl-C too
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             if isinstance(error, subprocess.TimeoutExpired):
-                raise CompilerError(f"{name} did not finish within {limit:g} s") from None
+                raise CompilerError(f"{name} did not finish within {TIMEOUT:g} s") from None
             raise
     if process.returncode != 0 or not library.is_file():
         first = next(
             (line for line in complaint.splitlines() if "error" in line), complaint.strip()
         )
         raise CompilerError(f"{name} failed with status {process.returncode}: {first[:200]}")
-
-
-def timeout() -> float:
-    """Return how long a compiler may take, s: ``$LIEID_COMPILER_TIMEOUT`` if usable, else 30."""
-    stated = os.environ.get("LIEID_COMPILER_TIMEOUT", "")
-    if not stated:
-        return DEFAULT_TIMEOUT
-    with contextlib.suppress(ValueError):
-        if 0.0 < float(stated) <= LONGEST_TIMEOUT:
-            return float(stated)
-    logger.warning(
-        "LIEID_COMPILER_TIMEOUT is %r; expected seconds above 0 and at most %g; %g s is used",
-        stated[:60],
-        LONGEST_TIMEOUT,
-        DEFAULT_TIMEOUT,
-    )
-    return DEFAULT_TIMEOUT

@@ -49,9 +49,8 @@ Loaded = TypeVar("Loaded", Kernel, Reducer, Runtime)
 # Functions of the robot's geometry alone: their cache key is made of its numbers, so that a hit
 # derives nothing. All others are small, and their key is made of their C source.
 RIGID = frozenset(
-    {"regressor", "base_regressor", "slotine_li_regressor", "inverse_dynamics", "mass_matrix",
-     "coriolis_matrix", "gravity", "jacobian"}
-)  # fmt: skip
+    {"regressor", "base_regressor", "inverse_dynamics", "mass_matrix", "gravity", "jacobian"}
+)
 
 
 class Kernels:

@@ -8,21 +8,15 @@ and kept if they are independent of those kept.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics import laurent
-from lieid_casadi.dynamics.laurent import Laurent, polynomials
-from lieid_casadi.dynamics.null_space import (
-    RANK_TOLERANCE,
-    EnergyColumn,
-    null_space,
-    rounded,
-)
+from lieid_casadi.dynamics.null_space import RANK_TOLERANCE, EnergyColumn, null_space, rounded
+from lieid_casadi.dynamics.symbolic_lengths import Polynomial, polynomials
 from lieid_casadi.errors import ModelError
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
@@ -43,7 +37,7 @@ class BaseParameters:
         Columns that span the others; scanned first to last, kept if independent.
     combination : (p, P)
         β = combination @ π: coefficient 1 on the kept column, the rest on dropped ones. Floats,
-        or floats and `Laurent` polynomials for a robot with symbols.
+        or floats and `Polynomial` for a robot with symbols.
     """
 
     names: tuple[str, ...]
@@ -93,14 +87,14 @@ class BaseParameters:
     @cached_property
     def symbols(self) -> frozenset[str]:
         """Names of the lengths that the combination has."""
-        entries = [x for x in self.combination.flat if isinstance(x, Laurent)]
+        entries = [x for x in self.combination.flat if isinstance(x, Polynomial)]
         return frozenset(name for x in entries for powers in x.terms for name, _ in powers)
 
     def at(self, values: Mapping[str, Any]) -> Any:
         """Return the combination (p, P) for given lengths by name: numbers, or SX as object."""
         made = np.empty(self.combination.shape, dtype=object)
         for index, entry in np.ndenumerate(self.combination):
-            made[index] = entry.at(values) if isinstance(entry, Laurent) else float(entry)
+            made[index] = entry.at(values) if isinstance(entry, Polynomial) else float(entry)
         floats = all(isinstance(entry, float) for entry in made.flat)
         return made.astype(float) if floats else made
 
@@ -122,7 +116,7 @@ class BaseParameters:
 
 def _factor(value: Any, digits: int) -> tuple[str, str]:
     """Return sign and size of a coefficient as text."""
-    if isinstance(value, Laurent):
+    if isinstance(value, Polynomial):
         return value.text(digits=digits)
     return "-" if value < 0 else "+", f"{abs(value):.{digits}g}"
 
@@ -151,54 +145,29 @@ def base_parameters(
     names = (*link_parameter_names(robot.n), *extra_names)
     if not robot.has_symbols:
         return reduce(null_space(robot, extra), names)
-    base = reduce(null_space(_of_polynomials(robot), extra), names)
-    _check(base, robot, extra)
-    return base
+    kept = set[tuple[int, ...]]()
 
+    def combination(numbers: Robot) -> Matrix:
+        base = reduce(null_space(numbers, extra), names)
+        kept.add(tuple(map(int, base.kept)))
+        if len(kept) > 1:
+            raise ModelError(
+                f"robot {robot.name!r}: the base parameters depend on the values of its symbols; "
+                "expected numbers, robot.with_values"
+            )
+        return base.combination
 
-def _of_polynomials(robot: Robot) -> Robot:
-    """Return the robot with polynomials in its symbols in place of SX expressions."""
-
-    def of(array: Matrix) -> Matrix:
-        return polynomials(array, snap=RANK_TOLERANCE)
-
-    joints = tuple(replace(j, screw=of(j.screw), home=of(j.home)) for j in robot.joints)
-    return replace(robot, joints=joints, gravity=of(robot.gravity), source=None)
-
-
-def _check(base: BaseParameters, robot: Robot, extra: Sequence[EnergyColumn | None]) -> None:
-    """Compare with the base parameters of numbers, at random values of the symbols.
-
-    Raises `ModelError`: they differ: a polynomial was not recognized as zero.
-    """
-    names = [str(symbol) for symbol in robot.symbols]
-    random = np.random.default_rng(0).uniform(0.2, 0.9, len(names))
-    values = dict(zip(names, map(float, random), strict=True))
-    numeric = reduce(null_space(robot.with_values(values), extra), base.names)
-    if np.array_equal(base.kept, numeric.kept):
-        difference = np.abs(base.at(values) - numeric.combination).max(initial=0.0)
-        if difference <= 1e-7 * np.abs(numeric.combination).max(initial=1.0):
-            return
-    raise ModelError(
-        f"base parameters of robot {robot.name!r} with the symbols {', '.join(names)}: the "
-        "derivation with symbols differs from that with numbers; expected numbers, "
-        "robot.with_values"
-    )
+    made = polynomials(robot, combination)
+    return BaseParameters(names, np.array(min(kept), dtype=np.intp), made)
 
 
 def reduce(null: Matrix, names: tuple[str, ...]) -> BaseParameters:
     """Return the base parameters given a basis (d, P) of the invisible parameter changes."""
     columns = len(names)
-    if null.dtype == object:
-        reduced, last = laurent.eliminated(null, list(range(columns))[::-1])
-        dropped = np.array(last, dtype=np.intp)
-        kept = np.setdiff1d(np.arange(columns), dropped)
-        rows = reduced[:, kept]
-    else:
-        dropped = _last_touched(null)
-        kept = np.setdiff1d(np.arange(columns), dropped)
-        rows = np.linalg.solve(null[:, dropped], null[:, kept])
-    combination = np.zeros((len(kept), columns), dtype=rows.dtype)
+    dropped = _last_touched(null)
+    kept = np.setdiff1d(np.arange(columns), dropped)
+    rows = np.linalg.solve(null[:, dropped], null[:, kept])
+    combination = np.zeros((len(kept), columns))
     combination[np.arange(len(kept)), kept] = 1.0
     # null row: y_dropped + Σ row_k y_k = 0, so π_dropped adds −row_k to the kept k
     combination[:, dropped] = -rows.T

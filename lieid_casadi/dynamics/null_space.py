@@ -14,17 +14,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lieid_casadi.dynamics import laurent
 from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.geometry import relative
 from lieid_casadi.robot.inertia import parameter_transport, symmetric
 
-Matrix = NDArray[Any]  # of floats, or of floats and polynomials in lengths
+Matrix = NDArray[np.float64]
 RANK_TOLERANCE = 1e-9  # relative; geometry written with 12 digits still counts as exact
 ROUNDING = 1e-12
 
@@ -48,7 +46,7 @@ def null_space(robot: Robot, extra: Sequence[EnergyColumn | None] = ()) -> Matri
     ``extra``: see `lieid_casadi.dynamics.base_parameters.base_parameters`.
     """
     n, width = robot.n, 10 * robot.n + len(extra)
-    chain = _Functionals(robot.gravity.astype(object if robot.has_symbols else float))
+    chain = _Functionals(robot.gravity)
     blocks = []
     for i, joint in enumerate(robot.joints):
         before = robot.joints[i - 1].home if i else np.eye(4)
@@ -56,7 +54,7 @@ def null_space(robot: Robot, extra: Sequence[EnergyColumn | None] = ()) -> Matri
         columns = [k for k, column in enumerate(extra) if column is not None and column.joint == i]
         kinds = [column.kind for k in columns if (column := extra[k]) is not None]
         solutions = _null(chain.conditions(geometry, kinds))
-        block = np.zeros((len(solutions), width), dtype=solutions.dtype)
+        block = np.zeros((len(solutions), width))
         block[:, 10 * i : 10 * i + 10] = solutions[:, :10]
         if i:
             block[:, 10 * i - 10 : 10 * i] = -solutions[:, :10] @ geometry.transport[0].T
@@ -91,9 +89,9 @@ class _Functionals:
     """
 
     def __init__(self, gravity: Matrix) -> None:
-        self.twists = np.zeros((0, 6), dtype=gravity.dtype)
-        self.kinetic = np.zeros((0, 10), dtype=gravity.dtype)
-        self.varying = np.zeros((0, 10), dtype=gravity.dtype)
+        self.twists = np.zeros((0, 6))
+        self.kinetic = np.zeros((0, 10))
+        self.varying = np.zeros((0, 10))
         self.potential = np.concatenate([[0.0], -gravity, np.zeros(6)])[None]
 
     def conditions(self, joint: _JointGeometry, kinds: Sequence[str]) -> Matrix:
@@ -119,11 +117,11 @@ class _Functionals:
 
     def moved_by(self, joint: _JointGeometry) -> _Functionals:
         """Return the functionals that the motions of the next link reveal."""
-        after = _Functionals(np.zeros(3, dtype=self.potential.dtype))
+        after = _Functionals(np.zeros(3))
         carried = [self.twists @ ad.T for ad in joint.adjoint]
         mixed = [_kinetic_row(joint.axis, v) for rows in carried for v in rows]
         own = _kinetic_row(joint.axis, joint.axis)
-        after.twists = _span(np.vstack([*carried, joint.axis.astype(self.twists.dtype)]))
+        after.twists = _span(np.vstack([*carried, joint.axis]))
         revealed = [self.kinetic @ p for p in joint.transport]
         after.kinetic = _span(np.vstack([*revealed, *mixed, own]))
         after.potential = self.potential @ joint.transport[0]
@@ -150,7 +148,7 @@ def _coefficients(function: Callable[[float], Matrix], revolute: bool) -> list[M
 def _exponential(joint: Joint, q: float) -> Matrix:
     """Return the matrix exp(ξ̂q) of a unit screw of zero pitch."""
     omega, v = joint.axis[:3], joint.axis[3:]
-    pose = np.eye(4, dtype=joint.axis.dtype)
+    pose = np.eye(4)
     if not joint.revolute:
         pose[:3, 3] = v * q
         return pose
@@ -186,23 +184,17 @@ def _span(rows: Matrix) -> Matrix:
     """Return an orthonormal basis of the rows' span."""
     if not len(rows):
         return rows
-    if rows.dtype == object:
-        return laurent.span(rows)
     _, sizes, basis = np.linalg.svd(rows, full_matrices=False)
     return np.asarray(basis[sizes > RANK_TOLERANCE * max(sizes[0], 1.0)])
 
 
 def _null(rows: Matrix) -> Matrix:
-    if rows.dtype == object:
-        return laurent.null(rows)
     _, sizes, basis = np.linalg.svd(rows)
     rank = int(np.sum(sizes > RANK_TOLERANCE * max(sizes[0], 1.0)))
     return np.asarray(basis[rank:])
 
 
-def rounded(values: Matrix) -> Matrix:
+def rounded(values: Matrix, tolerance: float = ROUNDING) -> Matrix:
     """Remove rounding errors around whole and half numbers."""
-    if values.dtype == object:
-        return laurent.cleaned(values)
     halves = np.round(2 * values) / 2
-    return np.where(np.abs(values - halves) < ROUNDING, halves, values)
+    return np.where(np.abs(values - halves) < tolerance, halves, values)

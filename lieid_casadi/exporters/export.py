@@ -43,7 +43,6 @@ def export(
     prefix: str | None = None,
     functions: Sequence[str] | None = None,
     runtime: Sequence[str] = (),
-    float32: bool = False,
     compensated: Fit | None = None,
     force: bool = False,
 ) -> Export:
@@ -56,7 +55,7 @@ def export(
     folder : str or Path
         Made if it does not exist; written as a whole or not at all.
     to : {"c", "urdf", "mjcf", "isaaclab", "ur-friction"}
-        C99 code with its self-test, a URDF with a MuJoCo fragment of the joints, a MuJoCo model,
+        C99 code with its self-test, a URDF, a MuJoCo model,
         Isaac Lab's actuators, or friction for Universal Robots' direct torque control.
     prefix : str, optional
         Of all C names, so that one program can contain several arms; ``arm`` if left out.
@@ -68,8 +67,6 @@ def export(
         Numbers that are arguments of the C functions instead of constants: ``payload`` (ten link
         parameters of a body at the tool), ``parameters`` (all link parameters, effect coefficients
         and shape parameters).
-    float32 : bool
-        C in single precision, and a self-test with the tolerance of such values.
     compensated : Fit, optional
         For ``ur-friction``: a fit of motion under direct torque with the default scales.
     force : bool
@@ -92,15 +89,13 @@ def export(
         )
         raise ExportError(f"format {str(to)!r}; expected {', '.join(get_args(Format))}{hint}")
     check_folder(folder, force=force)
-    if to != "c" and (prefix is not None or functions is not None or runtime or float32):
-        raise ExportError("prefix, functions, runtime and float32 apply to C code; expected to='c'")
+    if to != "c" and (prefix is not None or functions is not None or runtime):
+        raise ExportError("prefix, functions and runtime apply to C code; expected to='c'")
     if to != "ur-friction" and compensated is not None:
         raise ExportError("compensated applies to ur-friction; expected to='ur-friction'")
     if to == "c":
         names = "arm" if prefix is None else prefix
-        files, notes = c_files(
-            fit, prefix=names, functions=functions, runtime=runtime, float32=float32
-        )
+        files, notes = c_files(fit, prefix=names, functions=functions, runtime=runtime)
     elif to == "ur-friction":
         files, notes = ur_friction_files(fit, compensated)
     else:

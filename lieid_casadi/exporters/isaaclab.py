@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 from lieid_casadi.exporters.simulator_joints import (
     LinearFriction,
-    SimulatorJoint,
     beyond_linear_friction,
     file_name,
     left_out,
@@ -17,7 +16,7 @@ from lieid_casadi.exporters.simulator_joints import (
 )
 from lieid_casadi.exporters.xml_text import allowed
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.robot import Joint, Robot
+from lieid_casadi.robot import Joint
 
 HEAD = '''"""Joints of {robot}, identified by lieid-casadi {version}: SI units.
 
@@ -155,22 +154,3 @@ def _drive_of(joint: Joint) -> tuple[float, float, float]:
 def _of_friction(fit: Fit) -> set[str]:
     """Return the names of effects that depend on velocity, which `linear_friction` contains."""
     return {p.effect.name for p in fit.model.placements if {"dq", "sign"} & set(p.effect.signals)}
-
-
-def isaac_joints(robot: Robot, joints: Sequence[SimulatorJoint]) -> str:
-    """Return YAML with the drives and the identified numbers of every joint."""
-    import yaml
-
-    data = {}
-    for joint, numbers in zip(robot.joints, joints, strict=True):
-        stiffness, damping, limit = _drive_of(joint)
-        fields = {
-            "stiffness": stiffness,
-            "damping": (numbers.damping or 0.0) + damping,
-            "armature": numbers.armature or 0.0,
-            "effort_limit_sim": limit if math.isfinite(limit) else None,
-            "coulomb_friction_torque": numbers.friction or 0.0,
-        }
-        data[joint.name] = {k: v if v is None else float(v) for k, v in fields.items()}
-    head = "# Fields of isaaclab.actuators.ImplicitActuatorCfg per joint; N·m, rad, s.\n"
-    return head + str(yaml.safe_dump(data, sort_keys=False, allow_unicode=True))

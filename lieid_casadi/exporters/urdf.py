@@ -12,7 +12,6 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.isaaclab import isaac_joints
 from lieid_casadi.exporters.simulator_joints import (
     SimulatorJoint,
     check_possible,
@@ -22,7 +21,7 @@ from lieid_casadi.exporters.simulator_joints import (
     number,
     simulator_joints,
 )
-from lieid_casadi.exporters.xml_text import Element, XmlText, attribute, comment
+from lieid_casadi.exporters.xml_text import Element, XmlText, attribute
 from lieid_casadi.identification.feasible.certificate import position_range
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axes
@@ -47,20 +46,14 @@ LEAST_LOAD = 0.02  # of the largest: loads of other joints are not examined
 LEAST_SHARE = 0.2  # of the gravity load of the robot's description
 SEEN = 1e-6  # N·m per unit of a direction that the recordings did not excite
 REACH = 1e3  # m, limit of prismatic joints without limits, which URDF requires
-ATTRIBUTES = (("armature", "armature"), ("damping", "damping"), ("friction", "frictionloss"))
-HEAD = """\
-<!-- Identified armature (kg·m²), damping (N·m·s/rad) and frictionloss (N·m) of {robot}.
-     In an MJCF model: <include file="{file}"/> at the top, and class="identified_JOINT" on each
-     <joint>; or copy the attributes onto the joints. -->
-"""
 
 
 def urdf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
-    """Return ``ROBOT.urdf``, ``ROBOT_joints.xml`` (MuJoCo) and ``ROBOT_joints.yaml`` (Isaac Lab).
+    """Return ``ROBOT.urdf``, and notes on it.
 
-    The URDF is the one that the robot was read from, with the identified inertias and, where
+    It is the one that the robot was read from, with the identified inertias and, where
     the model has them, viscous and Coulomb friction; everything else stays as it was. A robot
-    from YAML gets a URDF written from its screws. The second result are notes.
+    from YAML gets a URDF written from its screws.
 
     Raises `ExportError`: the fit's masses and inertias are not certified to be physically
     consistent (the message has the command that makes a fit whose are), or the recordings did not
@@ -68,12 +61,7 @@ def urdf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
     """
     text, notes = urdf_text(fit)
     check_gravity(fit)
-    robot, name = fit.model.robot, file_name(fit.model.robot.name)
-    return {
-        f"{name}.urdf": with_ros2_control(text, robot).encode(),
-        f"{name}_joints.xml": mjcf_snippet(fit, file=f"{name}_joints.xml").encode(),
-        f"{name}_joints.yaml": isaac_joints(robot, simulator_joints(fit)).encode(),
-    }, notes
+    return {f"{file_name(fit.model.robot.name)}.urdf": text.encode()}, notes
 
 
 def check_gravity(fit: Fit) -> None:
@@ -121,60 +109,15 @@ def urdf_text(fit: Fit) -> tuple[str, list[str]]:
         text, notes = written_urdf(robot, bodies, simulator_joints(fit))
     left = left_out(fit, {"armature", "damping", "friction"})
     if any(numbers.armature is not None for numbers in simulator_joints(fit)):
-        notes.append("URDF has no element for armature; it is in the MuJoCo file")
+        notes.append("URDF has no element for armature; --to mjcf and --to isaaclab have it")
     if left:
-        notes.append(
-            f"not exported, because URDF and MuJoCo have no element for it: {', '.join(left)}"
-        )
+        notes.append(f"not exported, because URDF has no element for it: {', '.join(left)}")
     if negative(fit):
         notes.append(f"written as 0 because it is negative: {', '.join(negative(fit))}")
     if not np.allclose(robot.gravity, STANDARD_GRAVITY, atol=1e-9):
         x, y, z = robot.gravity
         notes.append(f"URDF has no element for gravity; set it to ({x:g}, {y:g}, {z:g}) m/s²")
     return text, notes
-
-
-def with_ros2_control(urdf: str, robot: Robot) -> str:
-    """Return the URDF of a position-controlled robot with ``ros2_control``, unless it has it.
-
-    The hardware is ros2_control's mock component; replace its plugin by that of the arm. The URDF
-    of a robot without drives stays as it is.
-    """
-    end = urdf.rfind("</robot>")
-    if robot.drives is None or "<ros2_control" in urdf or end < 0:
-        return urdf
-    lines = [
-        f'  <ros2_control name={attribute(robot.name)} type="system">',
-        "    <hardware><plugin>mock_components/GenericSystem</plugin></hardware>",
-    ]
-    for joint in robot.joints:
-        lines += [
-            f"    <joint name={attribute(joint.name)}>",
-            '      <command_interface name="position"/>',
-            *(f'      <state_interface name="{x}"/>' for x in ("position", "velocity", "effort")),
-            "    </joint>",
-        ]
-    lines += ["  </ros2_control>", ""]
-    return urdf[:end] + "\n".join(lines) + urdf[end:]
-
-
-def mjcf_snippet(fit: Fit, *, file: str) -> str:
-    """Return an MJCF file named ``file`` with a default class ``identified_JOINT`` per joint."""
-    robot = fit.model.robot
-    lines = [
-        HEAD.format(robot=comment(robot.name), file=comment(file)),
-        "<mujocoinclude>\n  <default>\n",
-    ]
-    for joint, numbers in zip(robot.joints, simulator_joints(fit), strict=True):
-        lines.append(f"    <default class={attribute('identified_' + joint.name)}>\n")
-        lines.append(f"      <joint{_attributes(numbers)}/>\n    </default>\n")
-    lines.append("  </default>\n</mujocoinclude>\n")
-    return "".join(lines)
-
-
-def _attributes(numbers: SimulatorJoint) -> str:
-    values = ((name, getattr(numbers, place)) for place, name in ATTRIBUTES)
-    return "".join(f' {name}="{number(value)}"' for name, value in values if value is not None)
 
 
 @dataclass(frozen=True, eq=False)

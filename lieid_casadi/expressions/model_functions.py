@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion
-from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
+from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
@@ -97,21 +97,9 @@ class ModelFunctions:
         self.command_error = ca.SX.sym("command_error", n)
         self.states = ca.SX.sym("states", len(model.states))
         self.coefficients = ca.SX.sym("coefficients", len(model.columns))
-        self.dq_r, self.ddq_r = ca.SX.sym("dq_r", n), ca.SX.sym("ddq_r", n)
         self._symbols = {"q": m.q, "sin": m.sin, "cos": m.cos, "dq": m.dq, "ddq": m.ddq}
-        self._symbols |= {
-            name: getattr(self, name)
-            for name in (
-                *SIGNAL_NAMES[3:],
-                "parameters",
-                "shapes",
-                "dead_zone",
-                "states",
-                "coefficients",
-                "dq_r",
-                "ddq_r",
-            )
-        }
+        further = (*SIGNAL_NAMES[3:], "parameters", "shapes", "dead_zone", "states", "coefficients")
+        self._symbols |= {name: getattr(self, name) for name in further}
 
     def _sparse(self, name: str, inputs: str, matrix: ca.SX) -> SparseFunction:
         names = inputs.split()
@@ -194,13 +182,6 @@ class ModelFunctions:
         return self.advance.mapaccum("steps", STEPS).expand()
 
     @cached_property
-    def slotine_li_regressor(self) -> SparseFunction:
-        """Y(q, q̇, q̇_r, q̈_r) (n, 10 n)."""
-        reference = recursion.ReferenceMotion(self.dq_r, self.ddq_r)
-        matrix = slotine_li_regressor(self.model.robot, self.motion, reference)
-        return self._sparse("slotine_li_regressor", f"{POSE} dq dq_r ddq_r", matrix)
-
-    @cached_property
     def inverse_dynamics(self) -> SparseFunction:
         """Rigid torque (n, 1) of motion and link parameters."""
         torque = recursion.inverse_dynamics(self.model.robot, self.motion, self.parameters)
@@ -217,12 +198,6 @@ class ModelFunctions:
         """G (n, 1)."""
         torque = closed_form.gravity(self.model.robot, self.motion, self.parameters)
         return self._sparse("gravity", f"{POSE} parameters", ca.densify(torque))
-
-    @cached_property
-    def coriolis_matrix(self) -> SparseFunction:
-        """C (n, n) with Ṁ − 2C skew-symmetric."""
-        matrix = closed_form.coriolis_matrix(self.model.robot, self.motion, self.parameters)
-        return self._sparse("coriolis_matrix", f"{POSE} dq parameters", matrix)
 
     @cached_property
     def jacobian(self) -> SparseFunction:

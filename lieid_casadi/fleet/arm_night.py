@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import orth
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis import Diagnosis, Step, diagnose
@@ -26,7 +24,7 @@ from lieid_casadi.fleet.night_result import (
 from lieid_casadi.fleet.recordings import local_copy
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
-from lieid_casadi.identification.recording_checks import Source, check_recordings
+from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.identification.regression.design_matrix import Design, rows_per_independent
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
@@ -41,7 +39,6 @@ from lieid_casadi.recording.readers.registry import hash_of_file
 from lieid_casadi.robot.inertia import parameter_transport
 
 UNDETERMINED = 1e-9  # of scaled columns: directions that the night does not excite
-DESCRIBED = 1.5  # error of nights over the held-out error, up to which a fit describes an arm
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +94,16 @@ class NightRows:
         links = np.setdiff1d(np.arange(count), effects)
         prior = np.zeros((len(links), count))
         prior[:, links] = prior_rows(fit.covariance[np.ix_(links, links)])
-        change, covariance = _with_prior(self.matrix, self.torque - self.matrix @ fit.values, prior)
-        std, columns = np.sqrt(np.maximum(np.diag(covariance), 0.0)), fit.model.base_columns
+        both = np.concatenate([self.matrix, prior])
+        target = np.append(self.torque - self.matrix @ fit.values, np.zeros(len(prior)))
+        scale = np.linalg.norm(both, axis=0)
+        scale[scale == 0.0] = 1.0
+        u, sizes, vt = np.linalg.svd(both / scale, full_matrices=False)
+        used = sizes > UNDETERMINED * sizes.max(initial=1e-300)
+        change = vt[used].T @ ((u[:, used].T @ target) / sizes[used]) / scale
+        least = np.maximum(sizes, UNDETERMINED * sizes.max(initial=1e-300))
+        std = np.linalg.norm(vt.T / least, axis=1) / scale
+        columns = fit.model.base_columns
         return tuple(
             ParameterEstimate(
                 columns[k].name, columns[k].joint + 1, float(fit.values[k] + change[k]),
@@ -107,108 +112,16 @@ class NightRows:
             for k in effects
         )  # fmt: skip
 
-    def joints_of_other_arm(self) -> NDArray[np.intp]:
-        """Return the joints whose torque the kinematics cannot explain with any parameters."""
-        scale = np.linalg.norm(self.matrix, axis=0)
-        scale[scale == 0.0] = 1.0
-        free = np.linalg.lstsq(self.matrix / scale, self.torque, rcond=UNDETERMINED)[0] / scale
-        over_noise = self.errors(free)
-        torque = self.torque_rms()
-        part = np.divide(
-            over_noise * self.noise, torque, out=np.zeros_like(torque), where=torque > 0
-        )
-        other = (part > OTHER_ARM_PART) & (over_noise > OTHER_ARM_NOISE)
-        many = 2 * other.sum() >= len(other) and other.sum() > 1
-        return np.flatnonzero(other) if many else np.zeros(0, dtype=np.intp)
-
-
-def _with_prior(matrix: Array, residual: Array, prior: Array) -> tuple[Array, Array]:
-    """Return the change of the parameters (p,), zero where undetermined, and its covariance."""
-    both = np.concatenate([matrix, prior])
-    target = np.concatenate([residual, np.zeros(len(prior))])
-    scale = np.linalg.norm(both, axis=0)
-    scale[scale == 0.0] = 1.0
-    u, sizes, vt = np.linalg.svd(both / scale, full_matrices=False)
-    least = UNDETERMINED * sizes.max(initial=1e-300)
-    used = sizes > least
-    change = vt[used].T @ ((u[:, used].T @ target) / sizes[used]) / scale
-    spread = vt.T / np.maximum(sizes, least) / scale[:, None]
-    return change, spread @ spread.T
-
-
-@dataclass(frozen=True, eq=False)
-class Reidentified:
-    """A fit after a lasting change of the arm."""
-
-    fit: Fit
-    coefficients: tuple[str, ...]  # that were estimated again; ``payload``: of the last link
-    error_ratio: Array  # (n,) largest error of the nights over the held-out error of the old fit
-
-    @property
-    def holds(self) -> bool:
-        """Whether the fit describes the arm again on every joint."""
-        return bool((self.error_ratio <= DESCRIBED).all())
-
-
-def reidentified(
-    nights: Sequence[ArmNight], fit_content: bytes, changed: Collection[str]
-) -> Reidentified:
-    """Return a fit whose changed coefficients are estimated again from the nights since.
-
-    ``changed`` names what is free: coefficients (``coulomb.f_c:2``), effects of the model
-    (``coulomb:2``), or ``payload`` for all parameters of the last link. All other parameters are
-    held within the uncertainty of the fit, so that nights with little motion are enough.
-    """
-    every, sources = [], []
-    for night in nights:
-        with local_copy(night.recording) as path:
-            loaded, recording = load_night(night, fit_content, path)
-        every.append(NightRows.of(loaded, recording))
-        sources.append(Source.of(recording))
-    fit = _fit(fit_content, None, None)
-    model, count = fit.model, len(fit.values)
-    free, names = np.zeros((count, 0)), list[str]()
-    for k, column in enumerate(model.base_columns):
-        label, joint = f"{column.name}:{column.joint + 1}", column.joint + 1
-        if label in changed or f"{column.name.partition('.')[0]}:{joint}" in changed:
-            free, names = np.column_stack([free, np.eye(count)[k]]), [*names, label]
-    if "payload" in changed:
-        last = model.base.combination[:, 10 * (model.n - 1) : 10 * model.n]
-        free, names = np.column_stack([free, last]), [*names, "payload"]
-    held = prior_rows(fit.covariance[:count, :count])
-    released = orth(held @ free)
-    held -= released @ (released.T @ held)
-    matrix = np.concatenate([rows.matrix for rows in every])
-    rest = np.concatenate([rows.torque - rows.matrix @ rows.fit.values for rows in every])
-    change, own = _with_prior(matrix, rest, held)
-    covariance = np.zeros_like(fit.covariance)
-    covariance[:count, :count] = own
-    covariance[count:, count:] = fit.covariance[count:, count:]
-    provenance = replace(fit.provenance, recordings=(*fit.provenance.recordings, *sources))
-    values = fit.values + change
-    again = replace(
-        fit, values=values, parameters=model.base.lift(values, fit.parameters), method="wls",
-        covariance=covariance, certificate=None, provenance=provenance,
-    )  # fmt: skip
-    ratios = [rows.errors(rows.fit.values + change) for rows in every]
-    return Reidentified(again, tuple(names), np.max(ratios, axis=0))
-
 
 FITS_KEPT = 16  # per worker, with their compiled models
-# A recording is of another arm if, for at least half of the joints, this part of the torque and
-# this multiple of the noise is not explained by the robot's regressor with any parameters.
-# Simulated changes of an arm (tilted base, encoder offset of 0.1 rad) stay below on most joints.
-OTHER_ARM_PART, OTHER_ARM_NOISE = 0.2, 5.0
 #: Error of the fit, in multiples of its held-out error, from which on the premises are tested: a
 #: wrong premise at least triples an error, and the test takes longer than a diagnosis.
 SUSPICIOUS = 2.0
-#: Premises that are no reason of their own if no inertias explain the torque of half of the joints.
-OF_TORQUE = ("robot_mismatch", "torque_sign", "torque_unit")
 
 
 def run_arm_night(night: ArmNight, fit_content: bytes) -> NightResult:
     """Return the result of an arm-night; errors of the recording are part of it."""
-    start, sha = time.perf_counter(), ""
+    started, start, sha = datetime.now(UTC), time.perf_counter(), ""
     try:
         with local_copy(night.recording) as path:
             sha = hash_of_file(path)
@@ -220,15 +133,14 @@ def run_arm_night(night: ArmNight, fit_content: bytes) -> NightResult:
     except LieidError as error:
         result = NightResult("refused", str(error).replace(f"{path}", night.recording))
     seconds = time.perf_counter() - start
-    return replace(result, recording_sha256=sha, seconds=seconds)
+    return replace(result, recording_sha256=sha, seconds=seconds, started=started)
 
 
 def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
     fit, recording = load_night(night, fit_content, path)
     rows = NightRows.of(fit, recording)
-    other = rows.joints_of_other_arm()
-    if len(other) or (rows.errors(fit.values) > SUSPICIOUS).any():
-        _require_premises(fit, recording, other)
+    if (rows.errors(fit.values) > SUSPICIOUS).any():
+        _require_premises(fit, recording)
     diagnosis = diagnose(fit, recording)
     return NightResult(
         "done",
@@ -236,7 +148,6 @@ def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
         findings=tuple(_finding(step) for step in diagnosis.steps) + _unexplained(diagnosis),
         parameters=rows.coefficients(),
         errors=_errors(diagnosis, rows, recording),
-        checks=tuple((type(w).__name__, str(w)) for w in diagnosis.warnings),
     )
 
 
@@ -269,26 +180,15 @@ def premises_of(fit: Fit, recording: Recording) -> PremiseCheck | None:
         return None
 
 
-def _require_premises(fit: Fit, recording: Recording, other: NDArray[np.intp]) -> None:
-    """Refuse a recording that does not belong to the robot as it is described.
-
-    ``other``: joints (from 0) whose torque no inertias explain, which a premise about the torque
-    alone cannot be the reason of.
-    """
+def _require_premises(fit: Fit, recording: Recording) -> None:
+    """Refuse a recording that does not belong to the robot as it is described."""
     found = premises_of(fit, recording)
     certain = [x for x in found.findings if x.certain] if found is not None else []
-    if certain and not (len(other) and certain[0].premise in OF_TORQUE):
+    if certain:
         names = ", ".join(finding.premise for finding in certain)
         raise RecordingError(
             f"{recording.title}: robot and recording do not belong together ({names}): "
             f"{certain[0].sentence}"
-        )
-    if len(other):
-        joints = ", ".join(str(j + 1) for j in other)
-        raise RecordingError(
-            f"{recording.title}: the kinematics do not fit: with any inertias and friction, robot "
-            f"{fit.model.robot.name!r} leaves more than {100 * OTHER_ARM_PART:.0f} % of the torque "
-            f"of joints {joints} unexplained; check that the recording is of this arm"
         )
 
 

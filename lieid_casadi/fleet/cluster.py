@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections import Counter
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,10 +13,9 @@ from typing import Any
 from lieid_casadi import __version__
 from lieid_casadi.errors import ClusterLost, FleetError, MissingDependency
 from lieid_casadi.fleet.arm_night import run_arm_night
-from lieid_casadi.fleet.night_result import ArmNight, NightResult
+from lieid_casadi.fleet.night_result import ArmNight, Batch, NightResult
 from lieid_casadi.messages import reason_of
 
-DASHBOARD_WAIT = 5.0  # s: for the answer of the dashboard
 #: Of a cluster on this machine. Dask lets malloc return memory after every array of 64 kB, which
 #: costs an arm-night a quarter of its time in page faults; the limit of a worker's memory stays.
 #: The profiler is not used, and clocks that run 50 times per second cost 1 to 2 % of a core each.
@@ -27,8 +26,8 @@ LOCAL_SETTINGS = {
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.system-monitor.interval": "5s",
 }
-TOPIC = "lieid-fleet"  # of the events with which workers report that a task has begun
-WAITING_PER_THREAD = 3  # tasks that are submitted before earlier ones are finished
+LARGEST_BATCH = 16  # arm-nights of one task, whose rows are recorded together
+BATCHES_PER_THREAD = 4  # at least, so that all threads end together
 CHECK_EVERY = 1.0  # s: of timeouts and of the connection
 WORKERS_WAIT = 120.0  # s: for which a cluster may be without workers
 
@@ -64,7 +63,7 @@ def dask_client(options: RunOptions) -> Iterator[Any]:
                     n_workers=options.workers,
                     threads_per_worker=1,
                     memory_limit=options.memory,
-                    dashboard_address="127.0.0.1:0",
+                    dashboard_address=None,
                     silence_logs=logging.CRITICAL,
                 )
             )
@@ -99,16 +98,22 @@ def _is_same_version(version: str) -> bool:
     return version.split(".")[:2] == __version__.split(".")[:2]
 
 
-def dashboard_of(client: Any) -> str | None:
-    """Return the address of the cluster's dashboard; None if it does not answer from here."""
-    from urllib.request import urlopen
+def run_arm_nights(nights: Sequence[ArmNight], fits: Mapping[str, bytes], expected: str) -> Batch:
+    """Run arm-nights on a worker; an exception fails its own one only.
 
-    try:
-        link = str(client.dashboard_link)
-        with urlopen(link, timeout=DASHBOARD_WAIT):
-            return link
-    except (OSError, KeyError, ValueError):
-        return None
+    ``expected`` is the client's version: a worker of another one may have joined during the run.
+    """
+    results = []
+    for night in nights:
+        try:
+            result = run_arm_night(night, fits[night.fit_sha256])
+        except Exception as error:
+            result = NightResult("failed", f"{type(error).__name__}: {reason_of(error)}")
+        if result.version.split(".")[:2] != expected.split(".")[:2]:
+            reason = f"worker with version {result.version}; expected {expected} as on the client"
+            result = NightResult("failed", reason, version=result.version)
+        results.append(result)
+    return Batch.of(list(zip(nights, results, strict=True)))
 
 
 def run_on_cluster(
@@ -117,143 +122,100 @@ def run_on_cluster(
     fits: Mapping[str, bytes],
     options: RunOptions,
     *,
-    finished: Callable[[ArmNight, NightResult], None],
+    finished: Callable[[Batch], None],
 ) -> None:
-    """Run arm-nights; each result is passed on as soon as it is there.
+    """Run arm-nights in batches; each batch is passed on as soon as it is there.
 
-    A worker that is lost fails its arm-night only after ``options.losses`` further attempts. An
-    arm-night that exceeds the timeout has failed, and its worker is started again. ``fits`` maps
-    ``fit_sha256`` to the content of the fit's file. ClusterLost: no scheduler or workers any more.
+    A batch whose worker is lost, or that exceeds the timeout, is run again night by night: only
+    the arm-night that is the reason fails, after ``options.losses`` further attempts. The worker of
+    one that exceeds the timeout is started again. ``fits`` maps ``fit_sha256`` to the content of
+    the fit's file. ClusterLost: no scheduler or workers any more.
     """
-    _Submission(client, fits, options, finished).run(nights)
+    from distributed import CancelledError, wait
+    from distributed.comm import CommClosedError
+
+    threads = max(sum(client.nthreads().values()), 1)
+    size = min(max(len(nights) // (BATCHES_PER_THREAD * threads), 1), LARGEST_BATCH)
+    waiting = deque(nights[k : k + size] for k in range(0, len(nights), size))
+    running: dict[Any, tuple[Sequence[ArmNight], float]] = {}  # future → batch and its start
+    last_worker = time.monotonic()
+
+    def give_up(batch: Sequence[ArmNight], reason: str) -> None:
+        if len(batch) > 1:
+            waiting.extendleft([night] for night in batch)
+        else:
+            finished(Batch.of([(batch[0], NightResult("failed", reason))]))
+
+    try:
+        while waiting or running:
+            threads, now = sum(client.nthreads().values()), time.monotonic()
+            last_worker = now if threads else last_worker
+            if now - last_worker > WORKERS_WAIT:
+                raise ClusterLost(
+                    f"the Dask cluster {options.scheduler or ''} has had no workers for "
+                    f"{WORKERS_WAIT:g} s, with {_count(running)} arm-nights in work; start workers "
+                    "and run the command again to continue"
+                )
+            while waiting and len(running) < threads:  # so that each begins at once
+                batch = waiting.popleft()
+                own = {night.fit_sha256: fits[night.fit_sha256] for night in batch}
+                future = client.submit(run_arm_nights, batch, own, __version__, pure=False)
+                running[future] = batch, now
+            if not running:
+                time.sleep(CHECK_EVERY)
+                continue
+            with contextlib.suppress(TimeoutError):
+                wait(list(running), timeout=CHECK_EVERY, return_when="FIRST_COMPLETED")
+            for future in [f for f in running if f.done()]:
+                result = _result(future)
+                batch, _ = running.pop(future)
+                if isinstance(result, Batch):
+                    finished(result)
+                else:
+                    give_up(batch, result)
+            late = time.monotonic() - options.timeout
+            for future in [f for f, (_, start) in running.items() if start < late]:
+                _stop(client, future)
+                give_up(
+                    running.pop(future)[0], f"not finished after {options.timeout:g} s (--timeout)"
+                )
+            if client.status != "running":
+                raise CommClosedError
+    except (CommClosedError, CancelledError, TimeoutError, OSError):
+        raise ClusterLost(
+            f"the connection to the Dask scheduler {options.scheduler or ''} was lost, with "
+            f"{_count(running)} arm-nights in work; what is finished is recorded, run the command "
+            "again to continue"
+        ) from None
+    finally:
+        with contextlib.suppress(Exception):
+            client.cancel(list(running), force=True)
 
 
-def reporting_arm_night(night: ArmNight, fit_content: bytes, key: str) -> NightResult:
-    """Run an arm-night on a worker, which first reports that the task has begun."""
-    from distributed import get_worker
+def _result(future: Any) -> Batch | str:
+    """Return the results of a batch, or why there are none."""
+    from distributed import CancelledError, KilledWorker
 
-    worker = get_worker()
-    worker.log_event(TOPIC, {"key": key, "worker": worker.address})
-    return run_arm_night(night, fit_content)
+    if future.status == "lost" or future.cancelled():
+        raise CancelledError(future.key)
+    error = future.exception()
+    if error is None:
+        return future.result()  # type: ignore[no-any-return]
+    if isinstance(error, KilledWorker):
+        return (
+            "the worker was lost repeatedly (killed, or out of memory): see --memory and the logs "
+            "of the cluster"
+        )
+    return f"{type(error).__name__}: {reason_of(error)}"
 
 
-class _Submission:
-    """Tasks of one call: waiting, on the cluster, and when they have begun."""
+def _count(running: Mapping[Any, tuple[Sequence[ArmNight], float]]) -> int:
+    return sum(len(batch) for batch, _ in running.values())
 
-    def __init__(
-        self,
-        client: Any,
-        fits: Mapping[str, bytes],
-        options: RunOptions,
-        finished: Callable[[ArmNight, NightResult], None],
-    ) -> None:
-        self.client, self.options, self.finished, self.fits = client, options, finished, fits
-        self.tasks: dict[str, tuple[Any, ArmNight]] = {}
-        self.begun: dict[str, tuple[float, str]] = {}
-        self.count, self.again = 0, Counter[ArmNight]()
-        self.last_worker = time.monotonic()
 
-    def run(self, nights: Sequence[ArmNight]) -> None:
-        from distributed import CancelledError
-        from distributed.comm import CommClosedError
-
-        self.client.subscribe_topic(TOPIC, self._has_begun)
-        waiting = iter(nights)
-        try:
-            while True:
-                self._fill(waiting)
-                if not self.tasks:
-                    return
-                for future in self._ready():
-                    self._take(future)
-                self._give_up()
-                if self.client.status != "running":
-                    raise CommClosedError
-        except (CommClosedError, CancelledError, TimeoutError, OSError):
-            raise ClusterLost(
-                f"the connection to the Dask scheduler {self.options.scheduler or ''} was lost, "
-                f"with {len(self.tasks)} arm-nights in work; what is finished is recorded, "
-                "run the command again to continue"
-            ) from None
-        finally:
-            with contextlib.suppress(Exception):
-                self.client.unsubscribe_topic(TOPIC)
-                self.client.cancel([future for future, _ in self.tasks.values()], force=True)
-
-    def _fill(self, waiting: Iterator[ArmNight]) -> None:
-        threads = sum(self.client.nthreads().values())
-        if threads:
-            self.last_worker = time.monotonic()
-        elif time.monotonic() - self.last_worker > WORKERS_WAIT:
-            raise ClusterLost(
-                f"the Dask cluster {self.options.scheduler or ''} has had no workers for "
-                f"{WORKERS_WAIT:g} s, with {len(self.tasks)} arm-nights in work; start workers and "
-                "run the command again to continue"
-            )
-        while len(self.tasks) < WAITING_PER_THREAD * max(threads, 1):
-            night = next(waiting, None)
-            if night is None:
-                return
-            self._submit(night)
-
-    def _submit(self, night: ArmNight) -> None:
-        self.count += 1
-        key = f"arm-night-{id(self):x}-{self.count}-{night.serial}-{night.date}"
-        fit = self.fits[night.fit_sha256]
-        future = self.client.submit(reporting_arm_night, night, fit, key, key=key, pure=False)
-        self.tasks[key] = (future, night)
-
-    def _ready(self) -> list[Any]:
-        """Return the futures that are finished, after at least one is or a short time."""
-        from distributed import wait
-
-        futures = [future for future, _ in self.tasks.values()]
-        with contextlib.suppress(TimeoutError):
-            wait(futures, timeout=CHECK_EVERY, return_when="FIRST_COMPLETED")
-        return [future for future in futures if future.done()]
-
-    def _take(self, future: Any) -> None:
-        """Pass the result of a task on; an exception becomes a failed arm-night."""
-        from distributed import CancelledError, KilledWorker
-
-        if future.status == "lost" or future.cancelled():
-            raise CancelledError(future.key)
-        _, night = self.tasks.pop(future.key)
-        has_begun = self.begun.pop(future.key, None) is not None
-        error = future.exception()
-        if error is None:
-            result = future.result()
-            if not _is_same_version(result.version):
-                reason = f"worker with version {result.version}; expected {__version__} as here"
-                result = NightResult("failed", reason, version=result.version)
-            self.finished(night, result)
-            return
-        if isinstance(error, KilledWorker) and not has_begun:
-            self.again[night] += 1
-            if self.again[night] <= self.options.losses:
-                self._submit(night)
-                return
-        reason = f"{type(error).__name__}: {reason_of(error)}"
-        if isinstance(error, KilledWorker):
-            reason = (
-                "the worker was lost repeatedly (killed, or out of memory): see --memory and the "
-                "logs of the cluster"
-            )
-        self.finished(night, NightResult("failed", reason))
-
-    def _has_begun(self, event: tuple[float, Mapping[str, str]]) -> None:
-        message = event[1]
-        self.begun[message["key"]] = time.monotonic(), message["worker"]
-
-    def _give_up(self) -> None:
-        """Record arm-nights beyond the timeout as failed, and start their workers again."""
-        now = time.monotonic()
-        for key, (start, worker) in list(self.begun.items()):
-            if key in self.tasks and now - start > self.options.timeout:
-                future, night = self.tasks.pop(key)
-                del self.begun[key]
-                future.cancel(force=True)
-                reason = f"not finished after {self.options.timeout:g} s (--timeout)"
-                self.finished(night, NightResult("failed", reason, seconds=now - start))
-                with contextlib.suppress(Exception):
-                    self.client.restart_workers([worker], raise_for_error=False)
+def _stop(client: Any, future: Any) -> None:
+    """Cancel a task, and start its worker again, which would go on with it."""
+    with contextlib.suppress(Exception):
+        workers = [w for w, keys in client.processing().items() if future.key in keys]
+        future.cancel(force=True)
+        client.restart_workers(workers, raise_for_error=False)

@@ -3,65 +3,28 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
+import msgspec
 import numpy as np
 import yaml
+from msgspec import Meta, Struct
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import FleetError, RobotError
 from lieid_casadi.fleet.recordings import is_local
 from lieid_casadi.robot import yaml_text
+from lieid_casadi.robot.description import BUNDLED
 from lieid_casadi.robot.geometry import pose
 from lieid_casadi.robot.inertia import link_parameters
 from lieid_casadi.robot.yaml_file import read_inertia
-from lieid_casadi.robot.yaml_text import Field
-
-
-@dataclass(frozen=True)
-class LocatedField(Field):
-    """A value of plain data with its path and, in errors, the line of the text."""
-
-    lines: Mapping[str, int] = field(default_factory=dict)
-
-    @classmethod
-    def top(cls, text: str, origin: str) -> LocatedField:
-        """Return the data of a YAML text; ``origin`` is named in errors."""
-        data = yaml_text.load(text, origin)
-        node = yaml.compose(text, Loader=yaml.SafeLoader)  # builds no objects
-        return cls(data, "", origin, dict(_lines(node, "")))
-
-    def error(self, expected: str, *, found: str | None = None) -> RobotError:
-        """Return an error of one line: file, line, place, what was found and what was expected."""
-        text = f"found {yaml_text.short(self.value) if found is None else found}"
-        place = f" {self.path}:" if self.path else ""
-        line = self.lines.get(self.path, 1)
-        return RobotError(f"{self.origin}: line {line}:{place} {text}, expected {expected}")
-
-
-def _lines(node: Any, path: str) -> Iterator[tuple[str, int]]:
-    """Yield path and line, from 1, of a node and of all below it."""
-    if node is None:
-        return
-    yield path, node.start_mark.line + 1
-    if isinstance(node, yaml.MappingNode):
-        for key, value in node.value:
-            yield from _lines(value, f"{path}{'.' if path else ''}{key.value}")
-    elif isinstance(node, yaml.SequenceNode):
-        for k, value in enumerate(node.value):
-            yield from _lines(value, f"{path}[{k}]")
-
 
 T = TypeVar("T")
-ARM_KEYS = (
-    "fit", "robot", "train", "effects", "torque_constants", "tool", "payload", "limits",
-    "maintenance",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -127,6 +90,72 @@ class Fleet:
         return re.compile(self.night.replace("{serial}", re.escape(serial)))
 
 
+Number = Annotated[float, Meta(ge=-1e12, le=1e12)]
+Vector = tuple[Number, Number, Number]
+Text = Annotated[str, Meta(min_length=1)]
+
+
+class _Entry(Struct, forbid_unknown_fields=True, kw_only=True):
+    """An entry that may have a first night."""
+
+    first: date | None = msgspec.field(name="from", default=None)
+
+
+class _Fit(_Entry, kw_only=True):
+    path: Text
+
+
+class _Constants(_Entry, kw_only=True):
+    values: Annotated[list[Number], Meta(min_length=1)]
+
+
+class _Tool(_Entry, kw_only=True):
+    xyz: Vector
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+
+class _Payload(_Entry, kw_only=True):
+    mass: Annotated[float, Meta(ge=0.0, le=1e12)]  # 0: the payload is taken off
+    com: Vector
+    inertia: Any = None
+    label: str = ""
+
+
+class _Span(Struct, forbid_unknown_fields=True):
+    first: date = msgspec.field(name="from")
+    last: date = msgspec.field(name="to")
+
+
+Size = Annotated[float, Meta(gt=0.0, le=1e12)]
+
+
+class _Arm(Struct, forbid_unknown_fields=True, kw_only=True):
+    serial: Text
+    recordings: Text | Annotated[list[Text], Meta(min_length=1)]
+    fit: Text | _Fit | list[Text | _Fit] = []
+    robot: Text | None = None
+    train: Text | list[Text] = []
+    effects: str | None = None
+    torque_constants: _Constants | list[Number | _Constants] = []
+    tool: _Tool | list[_Tool] = []
+    payload: _Payload | list[_Payload] = []
+    limits: dict[str, Size | Annotated[list[Size], Meta(min_length=1)]] = {}
+    maintenance: list[_Span] = []
+
+
+class _File(Struct, forbid_unknown_fields=True):
+    arms: Annotated[list[_Arm], Meta(min_length=1)]
+    night: str | None = None
+
+
+class _Refused(Exception):
+    """What is wrong at a place of the file, such as ``arms[2].payload``."""
+
+    def __init__(self, place: str, message: str) -> None:
+        super().__init__(message)
+        self.place = place
+
+
 def read_fleet(path: str | Path) -> Fleet:
     """Read a fleet file; relative paths in it refer to its folder.
 
@@ -141,173 +170,108 @@ def read_fleet(path: str | Path) -> Fleet:
     except (OSError, UnicodeDecodeError) as error:
         raise FleetError(f"{path}: cannot be read as UTF-8 text ({error})") from None
     try:
-        return _fleet(LocatedField.top(text, str(path)), file.absolute().parent)
+        data = yaml_text.load(text, str(path))
     except RobotError as error:
         raise FleetError(str(error)) from None
-
-
-def _fleet(top: LocatedField, folder: Path) -> Fleet:
-    fields = top.mapping(["arms"], ["night"])
-    arms: dict[str, FleetArm] = {}
-    for entry in fields["arms"].items():
-        arm = _arm(entry, folder)
-        if arm.serial in arms:
-            field = replace(entry, value=arm.serial, path=f"{entry.path}.serial")
-            raise field.error("serial numbers that differ", found=f"{arm.serial!r} twice")
-        arms[arm.serial] = arm
-    if not arms:
-        raise fields["arms"].error("at least one arm")
-    return Fleet(tuple(arms.values()), _night(fields["night"]) if "night" in fields else None)
-
-
-def _night(field: LocatedField) -> str:
-    text = field.text()
     try:
-        groups = re.compile(text.replace("{serial}", "x")).groupindex
-    except re.error as error:
-        raise field.error(f"a regular expression ({error})") from None
-    if "date" not in groups:
-        raise field.error("a regular expression with a group (?P<date>…)")
-    return text
+        return _fleet(msgspec.convert(data, _File), file.absolute().parent)
+    except msgspec.ValidationError as error:
+        message, _, place = str(error).partition(" - at `$")
+        found = _Refused(place.strip("`.").replace("[...]", ""), message.replace("`", "'"))
+    except _Refused as error:
+        found = error
+    node = yaml.compose(text, Loader=yaml.SafeLoader)  # builds no objects
+    line = dict(_lines(node, "")).get(found.place, 1)
+    where = f" {found.place}:" if found.place else ""
+    raise FleetError(f"{path}: line {line}:{where} {found}")
 
 
-def _arm(entry: LocatedField, folder: Path) -> FleetArm:
-    fields = entry.mapping(["serial", "recordings"], ARM_KEYS)
-    has_fit, has_robot = "fit" in fields, "robot" in fields
-    breaks = fields["maintenance"].items() if "maintenance" in fields else []
-    if has_fit == has_robot:
-        found = "both of them" if has_fit else "neither of them"
-        raise entry.error("either fit, or robot and train", found=found)
-    if has_robot and "train" not in fields:
-        raise entry.error("robot together with train: recordings to fit", found="no key 'train'")
-    if has_fit and ("train" in fields or "effects" in fields):
-        raise entry.error("train and effects only together with robot", found="a fit with them")
+def _lines(node: Any, path: str) -> Iterator[tuple[str, int]]:
+    """Yield path and line, from 1, of a node and of all below it."""
+    if node is None:
+        return
+    yield path, node.start_mark.line + 1
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            yield from _lines(value, f"{path}{'.' if path else ''}{key.value}")
+    elif isinstance(node, yaml.SequenceNode):
+        for k, value in enumerate(node.value):
+            yield from _lines(value, f"{path}[{k}]")
+
+
+def _fleet(content: _File, folder: Path) -> Fleet:
+    serials = [arm.serial.strip() for arm in content.arms]
+    for k, serial in enumerate(serials):
+        if serial in serials[:k]:
+            raise _Refused(
+                f"arms[{k}].serial", f"found {serial!r} twice, expected serial numbers that differ"
+            )
+    if content.night is not None:
+        try:
+            groups = re.compile(content.night.replace("{serial}", "x")).groupindex
+        except re.error as error:
+            raise _Refused("night", f"not a regular expression ({error})") from None
+        if "date" not in groups:
+            raise _Refused("night", "expected a regular expression with a group (?P<date>…)")
+    arms = [_arm(arm, folder, f"arms[{k}]") for k, arm in enumerate(content.arms)]
+    return Fleet(tuple(arms), content.night)
+
+
+def _arm(arm: _Arm, folder: Path, place: str) -> FleetArm:
+    if bool(arm.fit) == bool(arm.robot) or bool(arm.robot) != bool(arm.train):
+        raise _Refused(place, "expected either fit, or robot and train (recordings to fit)")
+    if arm.fit and arm.effects:
+        raise _Refused(place, "expected effects only together with robot")
+    if any(span.last < span.first for span in arm.maintenance):
+        raise _Refused(f"{place}.maintenance", "expected a last night that is not before the first")
+    entries = _each(arm.torque_constants)
+    constants = [entry for entry in entries if isinstance(entry, _Constants)]
+    if len(constants) < len(entries):
+        numbers = [x for x in entries if not isinstance(x, _Constants)]
+        constants.append(_Constants(values=numbers))
+    if any(0.0 in entry.values for entry in constants):
+        raise _Refused(f"{place}.torque_constants", "expected numbers other than 0, N·m/A")
+    fits = [x if isinstance(x, _Fit) else _Fit(path=x) for x in _each(arm.fit)]
+    payloads, tools = _each(arm.payload), _each(arm.tool)
+    for name, keys in (
+        ("fit", [entry.first for entry in fits]),
+        ("torque_constants", [entry.first for entry in constants]),
+        ("tool", [entry.first for entry in tools]),
+        ("payload", [(entry.label, entry.first) for entry in payloads]),
+    ):
+        if len(set(keys)) < len(keys):
+            raise _Refused(f"{place}.{name}", "expected entries with different dates 'from'")
+    bundled = arm.robot is None or arm.robot in BUNDLED
     return FleetArm(
-        serial=_serial(fields["serial"]),
-        fits=_dated(fields.get("fit"), lambda field: _fit(field, folder)),
-        robot=_robot(fields["robot"], folder) if has_robot else None,
-        train=_locations(fields["train"], folder) if "train" in fields else (),
-        effects=fields["effects"].text() if "effects" in fields else None,
-        recordings=_locations(fields["recordings"], folder),
-        torque_constants=_dated(fields.get("torque_constants"), _constants),
-        tools=_dated(fields.get("tool"), _tool),
-        payloads=_payloads(fields.get("payload")),
-        limits=_limits(fields["limits"]) if "limits" in fields else {},
-        maintenance=tuple(_span(entry) for entry in breaks),
+        serial=arm.serial.strip(),
+        fits=tuple(Dated(_location(entry.path, folder), entry.first) for entry in fits),
+        robot=arm.robot if bundled else _location(str(arm.robot), folder),
+        train=tuple(_location(x, folder) for x in _each(arm.train)),
+        effects=arm.effects,
+        recordings=tuple(_location(x, folder) for x in _each(arm.recordings)),
+        torque_constants=tuple(Dated(tuple(entry.values), entry.first) for entry in constants),
+        tools=tuple(Dated(pose(entry.xyz, entry.rpy), entry.first) for entry in tools),
+        payloads=tuple(Dated(_body(entry, place), entry.first) for entry in payloads),
+        limits={name: tuple(_each(values)) for name, values in arm.limits.items()},
+        maintenance=tuple((span.first, span.last) for span in arm.maintenance),
     )
 
 
-def _dated(field: LocatedField | None, read: Callable[[LocatedField], T]) -> tuple[Dated[T], ...]:
-    """Return one value, or the values of a list of mappings that may have the key ``from``."""
-    if field is None:
-        return ()
-    several = isinstance(field.value, list) and all(isinstance(x, dict) for x in field.value)
-    fields = field.items() if several else [field]
-    entries = tuple(Dated(read(each), _first(each)) for each in fields)
-    if not entries or len({entry.first for entry in entries}) < len(entries):
-        raise field.error("entries with different dates 'from'")
-    return entries
+def _each(given: Any) -> list[Any]:
+    """Return a list of values, or one value as a list."""
+    return given if isinstance(given, list) else [given]
 
 
-def _first(entry: LocatedField) -> date | None:
-    """Return the date under the key ``from`` of a mapping."""
-    if not isinstance(entry.value, dict) or "from" not in entry.value:
-        return None
-    return _day(entry.mapping([], list(entry.value))["from"])
-
-
-def _day(field: LocatedField) -> date:
-    try:
-        return date.fromisoformat(str(field.value))
-    except ValueError:
-        raise field.error("a date such as 2026-11-20") from None
-
-
-def _span(entry: LocatedField) -> tuple[date, date]:
-    fields = entry.mapping(["from", "to"], [])
-    first, last = _day(fields["from"]), _day(fields["to"])
-    if last < first:
-        raise entry.error("a last night that is not before the first")
-    return first, last
-
-
-def _fit(field: LocatedField, folder: Path) -> str:
-    if isinstance(field.value, dict):
-        field = field.mapping(["path"], ["from"])["path"]
-    return _location(field, folder)
-
-
-def _serial(field: LocatedField) -> str:
-    if isinstance(field.value, int) and not isinstance(field.value, bool):
-        raise field.error("the serial number in quotation marks")
-    if not field.text().strip():
-        raise field.error("a serial number")
-    return field.text().strip()
-
-
-def _locations(field: LocatedField, folder: Path) -> tuple[str, ...]:
-    entries = field.items() if isinstance(field.value, list) else [field]
-    if not entries:
-        raise field.error("a path pattern or URL, or a list of them")
-    return tuple(_location(entry, folder) for entry in entries)
-
-
-def _location(field: LocatedField, folder: Path) -> str:
+def _location(text: str, folder: Path) -> str:
     """Return a URL as it is, and a path from the folder of the fleet file."""
-    text = field.text()
-    if not text:
-        raise field.error("a path or URL")
     return str(folder / text) if is_local(text) else text
 
 
-def _robot(field: LocatedField, folder: Path) -> str:
-    from lieid_casadi.robot.description import BUNDLED
-
-    return field.text() if field.text() in BUNDLED else _location(field, folder)
-
-
-def _constants(field: LocatedField) -> tuple[float, ...]:
-    if isinstance(field.value, dict):
-        field = field.mapping(["values"], ["from"])["values"]
-    values = tuple(entry.number() for entry in field.items())
-    if not values or 0.0 in values:
-        raise field.error("numbers other than 0, N·m/A, one per joint")
-    return values
-
-
-def _tool(field: LocatedField) -> Array:
-    fields = field.mapping(["xyz"], ["rpy", "from"])
-    turned = fields["rpy"].numbers(3) if "rpy" in fields else np.zeros(3)
-    return pose(fields["xyz"].numbers(3), turned)
-
-
-def _payloads(field: LocatedField | None) -> tuple[Dated[KnownPayload], ...]:
-    if field is None:
-        return ()
-    entries = field.items() if isinstance(field.value, list) else [field]
-    payloads = tuple(Dated(_payload(entry), _first(entry)) for entry in entries)
-    if len({(p.value.label, p.first) for p in payloads}) < len(payloads):
-        raise field.error("payloads with different labels, or dates 'from'")
-    return payloads
-
-
-def _payload(entry: LocatedField) -> KnownPayload:
-    fields = entry.mapping(["mass", "com"], ["inertia", "label", "from"])
-    mass = fields["mass"].number()
-    if not mass >= 0.0:
-        raise fields["mass"].error("a number ≥ 0 (0: the payload is taken off)")
-    inertia = read_inertia(fields["inertia"]) if "inertia" in fields else np.zeros((3, 3))
-    label = fields["label"].text() if "label" in fields else ""
-    return KnownPayload(label, link_parameters(mass, fields["com"].numbers(3), inertia))
-
-
-def _limits(field: LocatedField) -> dict[str, tuple[float, ...]]:
-    if not isinstance(field.value, dict):
-        raise field.error("a mapping from effects to largest values")
-    found: dict[str, tuple[float, ...]] = {}
-    for name, entry in field.mapping([], list(field.value)).items():
-        values = entry.items() if isinstance(entry.value, list) else [entry]
-        found[name] = tuple(value.positive() for value in values)
-        if not found[name]:
-            raise entry.error("a number > 0, or one per joint")
-    return found
+def _body(entry: _Payload, place: str) -> KnownPayload:
+    inertia = np.zeros((3, 3))
+    if entry.inertia is not None:
+        try:
+            inertia = read_inertia(yaml_text.Field(entry.inertia, f"{place}.payload", "inertia"))
+        except RobotError as error:
+            raise _Refused(f"{place}.payload", str(error)) from None
+    return KnownPayload(entry.label, link_parameters(entry.mass, np.array(entry.com), inertia))

@@ -78,10 +78,6 @@ def _coefficient(arm: ArmHistory, name: str) -> tuple[str, dict[int, Array]]:
 
 
 ARM_SECTIONS_FROM = 5  # number of the first arm's section in the page
-#: Warnings that many nights of sound arms have.
-ORDINARY_CHECKS = (
-    "FrictionAtRestWarning", "UnidentifiableWarning", "AliasWarning",
-)  # fmt: skip
 
 
 def fleet_report(history: History, *, since: date | None = None) -> str:
@@ -100,7 +96,7 @@ def fleet_report(history: History, *, since: date | None = None) -> str:
             "All arms", arm_table(arms, active), outlier_table(outliers(history)), links=links
         ),
         table_section(
-            "Suspicious recordings", *recording_tables(history, since), titles=True, links=links
+            "Recordings that cannot be used", recording_table(history, since), links=links
         ),
         table_section("Acknowledged alarms", closed_table(alarms), links=links, folded=True),
     ]
@@ -156,29 +152,16 @@ def arm_table(arms: Sequence[ArmHistory], alarms: Sequence[Alarm]) -> Table:
     )
 
 
-def recording_tables(history: History, since: date | None) -> tuple[Table, Table]:
-    """Return recordings that were refused or failed, and recordings with warnings."""
-    first = since or date.min
+def recording_table(history: History, since: date | None) -> Table:
+    """Return recordings that were refused or failed."""
     refused = history.rows(
         "SELECT serial, date, recording, status, reason FROM runs WHERE status <> 'done' "
         "AND date >= ? ORDER BY date DESC, serial",
-        [first],
+        [since or date.min],
     )
-    warned = history.rows(
-        "SELECT serial, name, count(DISTINCT date), max(date), arg_max(message, date) FROM checks "
-        "WHERE date >= ? AND NOT list_contains(?, name) GROUP BY serial, name "
-        "ORDER BY max(date) DESC, serial, name",
-        [first, list(ORDINARY_CHECKS)],
-    )
-    shown = [(serial, name.removesuffix("Warning"), *rest) for serial, name, *rest in warned]
-    return (
-        make_table(
-            "Refused or failed", ("serial", "night", "recording", "status", "reason"), refused,
-            note="Refused: the recording cannot be used. Failed: the next run tries it again.",
-        ),
-        make_table(
-            "With warnings", ("serial", "warning", "nights", "last night", "its message"), shown
-        ),
+    return make_table(
+        "Refused or failed", ("serial", "night", "recording", "status", "reason"), refused,
+        note="Refused: the recording cannot be used. Failed: the next run tries it again.",
     )  # fmt: skip
 
 

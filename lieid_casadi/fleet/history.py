@@ -9,26 +9,25 @@ from __future__ import annotations
 
 import json
 import re
-import secrets
 import subprocess
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
-from datetime import date, datetime
+from datetime import date
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.atomic_file import atomic_binary, check_file, reported
 from lieid_casadi.errors import FleetError, MissingDependency
-from lieid_casadi.fleet.night_result import ArmNight, NightResult
+from lieid_casadi.fleet.night_result import ROWS, Batch
 from lieid_casadi.messages import reason_of
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-SCHEMA = 6
+SCHEMA = 7
 MEMORY = "512MB"  # of DuckDB, which otherwise keeps most of a large history in memory
 TABLES = {
     "runs": "run_id VARCHAR PRIMARY KEY, serial VARCHAR, recording VARCHAR, "
@@ -42,7 +41,6 @@ TABLES = {
     "errors": "run_id VARCHAR, serial VARCHAR, date DATE, joint INTEGER, rms_moving DOUBLE, "
     "noise_floor DOUBLE, expected DOUBLE, torque_rms DOUBLE, temperature DOUBLE, "
     "q_low DOUBLE, q_high DOUBLE, q_mean DOUBLE, q_std DOUBLE",
-    "checks": "run_id VARCHAR, serial VARCHAR, date DATE, name VARCHAR, message VARCHAR",
     "repeats": "serial VARCHAR, recording VARCHAR, stamp VARCHAR, run_id VARCHAR",
     "arms": "serial VARCHAR PRIMARY KEY, robot VARCHAR, joints INTEGER, fit_sha256 VARCHAR, "
     "limits VARCHAR, since DATE, fit_from DATE, retired DATE, fit VARCHAR",
@@ -125,8 +123,6 @@ WHERE NOT EXISTS (
     SELECT 1 FROM maintenance m
     WHERE m.serial = expected.serial AND date BETWEEN m.first AND m.last)
 """
-#: Tables with rows of a run.
-RUN_TABLES = ("findings", "parameters", "errors", "checks")
 
 
 @dataclass(frozen=True)
@@ -233,28 +229,15 @@ class History(AbstractContextManager["History"]):
             raise
         self.connection.execute("COMMIT")
 
-    def record(self, night: ArmNight, result: NightResult, started: datetime) -> None:
-        """Add a run with all its rows, in one transaction; a run that is there is not repeated."""
-        run_id = night.run_id(result.recording_sha256)
-        if result.repeated:
-            self.insert("repeats", [(night.serial, night.recording, night.stamp, run_id)])
-            return
-        if result.status == "failed":
-            run_id = secrets.token_hex(16)
+    def add(self, batch: Batch) -> None:
+        """Add finished runs with all their rows in one transaction; none is repeated."""
         with self.transaction():
-            if self.rows("SELECT 1 FROM runs WHERE run_id = ?", [run_id]):
-                return
-            run = (
-                run_id, night.serial, night.recording, result.recording_sha256, night.fit_sha256,
-                result.version, started, result.seconds, result.status, result.reason,
-                night.date, night.stamp, night.condition, result.payload, night.method,
-            )  # fmt: skip
-            self.insert("runs", [run])
-            for table in RUN_TABLES:
-                rows = (
-                    r if isinstance(r, tuple) else vars(r).values() for r in getattr(result, table)
-                )
-                self.insert(table, [(run_id, night.serial, night.date, *row) for row in rows])
+            for table in (*ROWS, "repeats", "runs"):  # runs last: they tell what is new
+                if table in batch.tables:
+                    self.connection.register("part", batch.tables[table])
+                    new = "" if table == "repeats" else "ANTI JOIN runs USING (run_id)"
+                    self.connection.execute(f"INSERT INTO {table} BY NAME FROM part {new}")
+                    self.connection.unregister("part")
 
     def finished(
         self, serials: Sequence[str], method: int | None = None
@@ -312,7 +295,7 @@ class History(AbstractContextManager["History"]):
         """Remove runs of nights before a date, and their rows; return the number of runs."""
         with self.transaction():
             ((count,),) = self.rows("SELECT count(*) FROM runs WHERE date < ?", [first])
-            for table in (*RUN_TABLES, "repeats", "runs"):
+            for table in (*ROWS, "repeats", "runs"):
                 self.connection.execute(
                     f"DELETE FROM {table} WHERE run_id IN (SELECT run_id FROM runs WHERE date < ?)",
                     [first],

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
-from typing import Literal
+import secrets
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any, Literal
 
 from lieid_casadi import __version__
+
+if TYPE_CHECKING:
+    from pyarrow import Table
 
 Status = Literal["done", "refused", "failed"]
 #: Number of the method by which a night is diagnosed: raised when it gives other results.
@@ -100,8 +106,55 @@ class NightResult:
     findings: tuple[Finding, ...] = ()
     parameters: tuple[ParameterEstimate, ...] = ()
     errors: tuple[JointError, ...] = ()
-    checks: tuple[tuple[str, str], ...] = ()
     version: str = __version__  # of the worker
+    started: datetime = field(default_factory=lambda: datetime.now(UTC))
+
+
+#: Tables with rows of a run.
+ROWS = ("findings", "parameters", "errors")
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Results of some arm-nights: their rows as Arrow tables, and a line of each."""
+
+    tables: dict[str, Table]  # by the table of the history; none without rows
+    lines: tuple[tuple[str, str, str, str], ...]  # serial number, date, status and reason
+
+    @classmethod
+    def of(cls, results: Sequence[tuple[ArmNight, NightResult]]) -> Batch:
+        """Return the results of arm-nights; a copy of a recording repeats its run."""
+        from pyarrow import Table
+
+        rows: dict[str, list[dict[str, Any]]] = {name: [] for name in (*ROWS, "repeats", "runs")}
+        lines, known = [], set[str]()
+        for night, result in results:
+            run_id = night.run_id(result.recording_sha256)
+            repeated = result.repeated or run_id in known
+            lines.append((
+                night.serial, night.date, "repeated" if repeated else result.status, result.reason
+            ))  # fmt: skip
+            file = {"serial": night.serial, "recording": night.recording, "stamp": night.stamp}
+            if repeated:
+                rows["repeats"].append({"run_id": run_id, **file})
+                continue
+            if result.status == "failed":
+                run_id = secrets.token_hex(16)  # it is tried again
+            known.add(run_id)
+            same = {name: getattr(result, name) for name in RESULT_COLUMNS}
+            of_night = {name: getattr(night, name) for name in NIGHT_COLUMNS}
+            rows["runs"].append({"run_id": run_id, **file, **of_night, **same})
+            for name in ROWS:
+                key = {"run_id": run_id, "serial": night.serial, "date": night.date}
+                rows[name] += [key | vars(row) for row in getattr(result, name)]
+        tables = {name: Table.from_pylist(own) for name, own in rows.items() if own}
+        return cls(tables, tuple(lines))
+
+
+NIGHT_COLUMNS = ("fit_sha256", "date", "condition", "method")
+RESULT_COLUMNS = (
+    "recording_sha256", "version", "started", "seconds", "status", "reason", "payload",
+)  # fmt: skip
 
 
 def _hash(*parts: object) -> str:

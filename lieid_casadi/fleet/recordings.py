@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, date, datetime
@@ -16,7 +15,6 @@ from lieid_casadi.errors import FleetError, MissingDependency
 from lieid_casadi.messages import reason_of
 
 T = TypeVar("T")
-ATTEMPTS, FIRST_WAIT = 3, 0.5  # at a store that cannot be reached; seconds, doubled each time
 FOLDER_FILES = ("metadata.yaml", "meta/info.json")  # of recordings that are folders
 MODIFIED_KEYS = ("LastModified", "last_modified", "mtime", "updated", "modified", "created")
 VERSION_KEYS = ("ETag", "etag", "md5Hash", "VersionId")
@@ -109,17 +107,13 @@ def _file_system(location: str) -> tuple[Any, str]:
 
 
 def _attempt(action: Callable[[], T], location: str) -> T:
-    """Return the result of an action on a store; one that cannot be reached is tried again."""
-    for wait in (*(FIRST_WAIT * 2**k for k in range(ATTEMPTS - 1)), None):
-        try:
-            return action()
-        except FileNotFoundError:
-            raise FleetError(f"{location}: no such file") from None
-        except Exception as error:
-            if wait is None or isinstance(error, PermissionError):
-                raise FleetError(f"{location}: cannot be read ({reason_of(error)})") from error
-        time.sleep(wait)
-    raise AssertionError  # the last attempt returns or raises
+    """Return the result of an action on a store; what it raises becomes one line."""
+    try:
+        return action()
+    except FileNotFoundError:
+        raise FleetError(f"{location}: no such file") from None
+    except Exception as error:
+        raise FleetError(f"{location}: cannot be read ({reason_of(error)})") from error
 
 
 def is_local(location: str) -> bool:

@@ -11,18 +11,15 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from functools import cached_property
-from pathlib import Path
 
 from lieid_casadi import __version__
 from lieid_casadi.errors import FleetError, LieidError
-from lieid_casadi.fleet.alarms import Alarm, identify_again, judge_new_nights
-from lieid_casadi.fleet.arm_night import reidentified
-from lieid_casadi.fleet.cluster import RunOptions, dashboard_of, dask_client, run_on_cluster
+from lieid_casadi.fleet.alarms import Alarm, judge_new_nights
+from lieid_casadi.fleet.cluster import RunOptions, dask_client, run_on_cluster
 from lieid_casadi.fleet.config import Dated, Fleet, FleetArm, valid_at
 from lieid_casadi.fleet.history import ArmEntry, History
-from lieid_casadi.fleet.judging import label_of
-from lieid_casadi.fleet.night_result import METHOD, ArmNight, NightResult
-from lieid_casadi.fleet.recordings import is_local, list_recordings, local_copy, night_of
+from lieid_casadi.fleet.night_result import METHOD, ArmNight, Batch, NightResult
+from lieid_casadi.fleet.recordings import list_recordings, local_copy, night_of
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.fit import content_of
 from lieid_casadi.identification.identify import default_effects
@@ -74,15 +71,13 @@ def run_fleet(
     since: date | None = None,
     newest: date | None = None,
     rerun: bool = False,
-    connected: Callable[[str], None] | None = None,
     progress: Callable[[FleetProgress], None] | None = None,
 ) -> FleetRun:
     """Diagnose the recordings that the history does not have, and record the results.
 
-    Every result is committed when it is there: a call that ends early is continued by the next.
+    Every batch is committed when it is there: a call that ends early is continued by the next.
     ``newest`` is the last night on which every arm is expected to have recorded (default:
     yesterday, UTC); ``rerun`` also runs what an earlier method of diagnosis has done.
-    ``connected`` is called with the address of the cluster's dashboard, if that answers.
     """
     settings, start = options or RunOptions(), time.monotonic()
     expected = newest or datetime.now(UTC).date() - timedelta(days=1)
@@ -92,13 +87,14 @@ def run_fleet(
     faults: list[str] = []
     written = time.monotonic()
 
-    def record(night: ArmNight, result: NightResult) -> None:
+    def record(batch: Batch) -> None:
         nonlocal written
-        history.record(night, result, datetime.now(UTC) - timedelta(seconds=result.seconds))
-        counts["repeated" if result.repeated else result.status] += 1
-        if result.status != "done":
-            faults.append(f"{night.serial}: {result.reason}")
-            LOG.warning("%s %s %s: %s", night.serial, night.date, result.status, result.reason)
+        history.add(batch)
+        for serial, day, status, reason in batch.lines:
+            counts[status] += 1
+            if status in ("refused", "failed"):
+                faults.append(f"{serial}: {reason}")
+                LOG.warning("%s %s %s: %s", serial, day, status, reason)
         if time.monotonic() - written > SNAPSHOT_SECONDS:
             history.write_snapshot()
             written = time.monotonic()
@@ -106,12 +102,10 @@ def run_fleet(
             total = len(todo.nights) + len(todo.unusable)
             progress(FleetProgress(counts.total(), total, time.monotonic() - start))
 
-    for night, result in todo.unusable:
-        record(night, result)
+    if todo.unusable:
+        record(Batch.of(todo.unusable))
     if todo.nights:
         with dask_client(settings) as client:
-            if connected is not None and (dashboard := dashboard_of(client)) is not None:
-                connected(dashboard)
             run_on_cluster(client, todo.nights, todo.fits, settings, finished=record)
     new = judge_new_nights(history)
     silent = history.set_nights([arm.serial for arm in fleet.arms], expected)
@@ -170,7 +164,6 @@ def nights_to_run(
                 elif date.fromisoformat(night.date) >= first:
                     nights.append(replace(night, done=runs.get(arm.serial, frozenset())))
     history.set_arms(entries, first=newest)
-    nights.sort(key=lambda night: night.date)
     return NightsToRun(tuple(nights), fits, tuple(unusable), finished)
 
 
@@ -273,55 +266,3 @@ def recordings_of(
                     ),
                     "",
                 )
-
-
-#: Latest nights since a change, from which its coefficients are estimated again; of a drift fewer.
-NIGHTS_AGAIN, NIGHTS_OF_DRIFT = 8, 3
-
-
-def reidentify(history: History, fleet: Fleet, alarms: Sequence[Alarm]) -> str:
-    """Write the fit of an arm after lasting changes beside the present one; return what to do.
-
-    If the changed coefficients do not describe the nights since, nothing is written, and the
-    sentence asks for a new fit. FleetError: the fleet file has no such arm or nights.
-    """
-    serial, last = alarms[0].serial, max(alarm.last for alarm in alarms)
-    since = max(alarm.since for alarm in alarms)
-    arm = next((arm for arm in fleet.arms if arm.serial == serial), None)
-    if arm is None:
-        raise FleetError(f"arm {serial} is not in the fleet file")
-    fits = fits_of(arm)
-    present = valid_at(fits, last) or fits[0].value
-    found = recordings_of(arm, fleet, fits, ArmNight(serial, last.isoformat(), "", "", ""))
-    nights = sorted(
-        (night for night, reason in found if not reason and night.fit_sha256 == present.sha256),
-        key=lambda night: night.date,
-    )
-    most = NIGHTS_OF_DRIFT if any(alarm.slope is not None for alarm in alarms) else NIGHTS_AGAIN
-    nights = [n for n in nights if since <= date.fromisoformat(n.date) <= last][-most:]
-    if not nights:
-        raise FleetError(f"arm {serial} has no recordings from {since} to {last}")
-    changed = {label_of(alarm.quantity, alarm.joint) for alarm in alarms}
-    of_model = {f"{c.name.partition('.')[0]}:{c.joint + 1}" for c in present.fit.model.base_columns}
-    if not changed <= of_model | {"payload"}:
-        return (
-            f"The model lacks {', '.join(changed - of_model)}. {identify_again(history, alarms[0])}"
-        )
-    for alarm in alarms:
-        changed |= {x for x in alarm.labels if alarm.joint and x.endswith(f":{alarm.joint}")}
-    again = reidentified(nights, present.content, changed)
-    names, ratio = ", ".join(again.coefficients), float(again.error_ratio.max())
-    text = (
-        f"{names}, estimated again from {len(nights)} nights since {since}: error up to "
-        f"{ratio:.2g} times the held-out error. "
-    )
-    if not again.holds:
-        return text + identify_again(history, alarms[0])
-    first = last + timedelta(days=1)
-    old = Path(present.path if present.path and is_local(present.path) else f"{serial}.json")
-    path = old.with_name(f"{old.stem}-{first}.json")
-    again.fit.save(path)
-    return (
-        f"{text}{path} has the new fit; enter it into the fleet file: fit: [{{path: "
-        f"{present.path}}}, {{path: {path}, from: {first}}}]."
-    )

@@ -3,9 +3,9 @@
 One call each, in turns in one process: medians of processor time, of three runs. Pinocchio's
 algorithms are those of the library in the wheel ``pin``, a release build for any x86-64 processor.
 With ``--headers`` they are also compiled from the wheel's headers, by the compiler and with the
-flags of the exported C; ``--float32`` measures single precision, for which the library has no
-algorithms. Compiling takes minutes and 4 GB, once for all robots. Eigen 3 (``libeigen3-dev``, or
-``pip install cmeel-eigen``) and GCC are needed. Differences are of the last results, relative.
+flags of the exported C. Compiling takes minutes and 4 GB, once for all robots. Eigen 3
+(``libeigen3-dev``, or ``pip install cmeel-eigen``) and GCC are needed. Differences are of the last
+results, relative.
 """
 
 import argparse
@@ -40,7 +40,7 @@ LIBRARY = (  # calls the library's algorithms: they are not compiled into the pr
 )  # fmt: skip
 EIGEN = "/usr/include/eigen3"
 RUNS = 3
-LARGEST_DIFFERENCE = {"double": 1e-10, "float": 1e-3}
+LARGEST_DIFFERENCE = 1e-10  # relative
 
 
 def nominal(robot):
@@ -73,12 +73,12 @@ def numbers(robot):
     return "\n".join([gravity, str(robot.n), *others]) + "\n"
 
 
-def compiled(folder, flags, real, *, headers):
+def compiled(folder, flags, *, headers):
     """Object file with the calls of Pinocchio, and the arguments that link it."""
     prefix, made = wheel(), folder / f"calls_{'headers' if headers else 'library'}.o"
     subprocess.run(
         [
-            "g++", "-std=c++17", *(flags if headers else LIBRARY), *DEFINITIONS, f"-DREAL={real}",
+            "g++", "-std=c++17", *(flags if headers else LIBRARY), *DEFINITIONS, "-DREAL=double",
             f"-I{prefix}/include", f"-isystem{prefix}/include/eigen3", f"-isystem{EIGEN}",
             "-c", str(HERE / "pinocchio_calls.cpp"), "-o", str(made),
         ],
@@ -88,15 +88,15 @@ def compiled(folder, flags, real, *, headers):
     return [str(made), *([] if headers else library)]
 
 
-def linked(robot, folder, flags, real, calls):
+def linked(robot, folder, flags, calls):
     """Commands that measure a robot, one for each of the compiled calls."""
-    export(nominal(robot), folder / robot.name, float32=real == "float", to="c")
+    export(nominal(robot), folder / robot.name, to="c")
     (folder / robot.name / "arm.txt").write_text(numbers(robot))
     c = [
         "gcc",
         "-std=c99",
         *flags,
-        f"-DREAL={real}",
+        "-DREAL=double",
         "-I.",
         "-c",
         "arm.c",
@@ -152,28 +152,25 @@ def main():
     parser.add_argument(
         "--headers", action="store_true", help="also compile Pinocchio's algorithms"
     )
-    parser.add_argument("--float32", action="store_true", help="single precision, from the headers")
     options = parser.parse_args()
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    flags, real = options.flags.split(), "float" if options.float32 else "double"
-    kinds = (
-        ["headers"] if options.float32 else ["library", *(["headers"] if options.headers else [])]
-    )
+    flags = options.flags.split()
+    kinds = ["library", *(["headers"] if options.headers else [])]
     version = subprocess.run(
         ["gcc", "-dumpfullversion"], capture_output=True, text=True, check=True
     )
     compiler = f"GCC {version.stdout.strip()} {options.flags}"
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        calls = [compiled(folder, flags, real, headers=kind == "headers") for kind in kinds]
+        calls = [compiled(folder, flags, headers=kind == "headers") for kind in kinds]
         for name in options.robots:
             robot = lieid.Robot.load(name)
-            commands = linked(robot, folder, flags, real, calls)
+            commands = linked(robot, folder, flags, calls)
             rows = measured(folder / robot.name, commands)
-            title = f"{robot.name}, {robot.n} joints, {real}, {compiler}, ns per call"
+            title = f"{robot.name}, {robot.n} joints, {compiler}, ns per call"
             show(robot, rows, title, [f"Pinocchio, {kind}" for kind in kinds])
             for function, *_, difference in rows:
-                assert difference < LARGEST_DIFFERENCE[real], (function, difference)
+                assert difference < LARGEST_DIFFERENCE, (function, difference)
 
 
 if __name__ == "__main__":

@@ -130,7 +130,6 @@ def rows_of(robot, make, peaks):
         "blocks": (in_blocks, BATCH),
         "dense": (lambda: arm.regressor(q, dq, ddq, out=dense), BATCH),
         "torque": (lambda: arm.inverse_dynamics(q, dq, ddq, links, out=torque), BATCH),
-        "Slotine-Li": (lambda: arm.slotine_li_regressor(q, dq, dq, ddq, out=dense), BATCH),
     }
     measured = several([run for run, _ in runs.values()])
     t = {name: s / count for (name, (_, count)), s in zip(runs.items(), measured, strict=True)}
@@ -158,7 +157,6 @@ def rows_of(robot, make, peaks):
         row(f"full regressor into (N, {n}, {10 * n}), out=", "dense", "pinocchio stacked",
             t["fill"], "plain fill"),
         row("torque, batch", "torque", "pinocchio torque", flops["torque"] / vector, "operations"),
-        row("Slotine-Li regressor, out=", "Slotine-Li", None, t["fill"], "plain fill"),
     ]  # fmt: skip
 
 
@@ -178,8 +176,7 @@ arm = compile(model)
 arm.base_regressor(q, q, q)
 middle = clock()
 arm.regressor(q, q, q), arm.inverse_dynamics(q, q, q, links), arm.effect_torque(q, q, q, none)
-arm.slotine_li_regressor(q, q, q, q), arm.mass_matrix(q, links), arm.gravity(q, links)
-arm.coriolis_matrix(q, q, links), arm.jacobian(q), arm.effect_columns(q, q, q)
+arm.mass_matrix(q, links), arm.gravity(q, links), arm.jacobian(q), arm.effect_columns(q, q, q)
 print(middle - start, clock() - start)
 """
 

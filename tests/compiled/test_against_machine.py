@@ -38,7 +38,7 @@ def calls(model, samples=21, seed=0):
     """Every public function with arguments for it."""
     rng = np.random.default_rng(seed)
     q, dq, ddq = random_states(rng, model.robot, samples)
-    dq_r, ddq_r, load = rng.normal(size=(3, *q.shape))
+    load = rng.normal(size=q.shape)
     links, strength = rng.normal(size=10 * model.n), rng.normal(size=len(model.columns))
     signals = {
         "load": load,
@@ -50,14 +50,12 @@ def calls(model, samples=21, seed=0):
     motion = (q, dq, ddq)
     return {
         "regressor": (motion, {}),
-        "slotine_li_regressor": ((q, dq, dq_r, ddq_r), {}),
         "base_regressor": (motion, signals),
         "rigid_base_regressor": (motion, {}),
         "effect_columns": (motion, signals),
         "inverse_dynamics": ((*motion, links), {}),
         "effect_torque": ((*motion, strength), signals),
         "mass_matrix": ((q, links), {}),
-        "coriolis_matrix": ((q, dq, links), {}),
         "gravity": ((q, links), {}),
         "jacobian": ((q,), {}),
     }
@@ -113,22 +111,6 @@ def test_effects_with_memory_follow_the_samples():
         np.testing.assert_allclose(got, expected, rtol=1e-13, atol=1e-13)
     column = [c.label for c in model.base_columns].index("presliding.f_c:1")
     assert len(np.unique(got[:, 0, column])) > 100  # a state, not a sign
-
-
-@pytest.mark.parametrize("lanes", LANES)
-def test_slotine_li_regressor_is_the_skew_form(lanes):
-    model = lieid.Model(ROBOTS["mixed_4"]())  # its kernels are compiled by the tests above
-    arm, rng = compile(model, lanes=lanes), np.random.default_rng(6)
-    q, dq, ddq_r = random_states(rng, model.robot, 30)
-    dq_r, links = rng.normal(size=q.shape), model.robot.link_parameters
-    got = arm.slotine_li_regressor(q, dq, dq_r, ddq_r) @ links
-    mass, coriolis = arm.mass_matrix(q, links), arm.coriolis_matrix(q, dq, links)
-    expected = (mass @ ddq_r[..., None] + coriolis @ dq_r[..., None])[..., 0]
-    expected += arm.gravity(q, links)
-    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
-    same = arm.slotine_li_regressor(q, dq, dq, ddq_r)
-    plain = arm.regressor(q, dq, ddq_r)
-    np.testing.assert_allclose(same, plain, rtol=0, atol=1e-13 * np.abs(plain).max())
 
 
 class Everything(Effect):

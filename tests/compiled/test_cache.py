@@ -56,31 +56,6 @@ def test_another_robot_or_instruction_set_is_another_library(fresh_process):
     assert len(libraries(fresh_process)) >= 3
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        lambda data: data[: len(data) // 2],
-        lambda data: b"",
-        lambda data: data[:5000] + bytes([data[5000] ^ 1]) + data[5001:],
-    ],
-    ids=["truncated", "empty", "altered"],
-)
-def test_a_damaged_library_is_built_again(fresh_process, monkeypatch, damage):
-    expected = gravity(two_link())
-    whole = libraries(fresh_process)
-    for name, data in whole.items():
-        path = fresh_process / name
-        path.unlink()  # this process still has the old one in memory
-        path.write_bytes(damage(data))
-        assert not cache.is_whole(path)
-    forget(monkeypatch)
-    arm = two_link()
-    np.testing.assert_array_equal(gravity(arm), expected)
-    assert isinstance(arm._evaluation("gravity"), CompiledEvaluation)
-    assert libraries(fresh_process).keys() == whole.keys()
-    assert all(cache.is_whole(path) for path in fresh_process.glob("*.so"))
-
-
 def test_two_processes_may_compile_at_once(tmp_path):
     script = (
         "import numpy as np, lieid_casadi as lieid\n"
@@ -100,7 +75,6 @@ def test_two_processes_may_compile_at_once(tmp_path):
     printed = [process.communicate()[0].split() for process in running]
     assert printed[0] == printed[1]
     assert printed[0][1] == "CompiledEvaluation"
-    assert all(cache.is_whole(path) for path in tmp_path.iterdir())
     assert len(libraries(tmp_path)) == 3
 
 
@@ -136,7 +110,7 @@ def test_the_oldest_libraries_are_deleted(fresh_process, monkeypatch):
         path.write_bytes(b"old")
         os.utime(path, (1000 - age, 1000 - age))
     path = cache.store("new", b"library")
-    assert cache.is_whole(path)
+    assert path.is_file()
     assert sorted(libraries(fresh_process)) == ["0.so", "new.so"]
 
 

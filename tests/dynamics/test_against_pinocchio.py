@@ -124,12 +124,6 @@ def test_coriolis_and_centripetal_torque(arm):
     assert_close(arm.evaluate(ours)[:, :, 0], coriolis_torques(arm))
 
 
-def test_compiled_coriolis_matrix(arm):
-    q, dq, _ = arm.states
-    ours = arm.compiled.coriolis_matrix(q, dq, arm.robot.link_parameters)
-    assert_close(np.einsum("kij,kj->ki", ours, dq), coriolis_torques(arm))
-
-
 def not_skew(arm, matrix):
     """The symmetric part of Ṁ − 2·matrix and, for scale, Ṁ."""
 

@@ -6,15 +6,8 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-import pinocchio as pin
 import pytest
-from dynamics.test_against_pinocchio import (
-    assert_close,
-    coriolis_torques,
-    not_skew,
-    per_state,
-    torques,
-)
+from dynamics.test_against_pinocchio import assert_close, torques
 
 from lieid_casadi.dynamics import recursion
 
@@ -27,48 +20,6 @@ stacked_matrices = module.stacked_matrices
 
 SOME = ["panda", "panda_luo2024", "two_link", "random_0_of_2", "random_3_of_5", "random_7_of_9"]
 pytestmark = pytest.mark.parametrize("arm", SOME, indirect=True)
-
-
-def evaluated(arm, of):
-    """Values of a function of the stacked matrices and the motion, over all states."""
-    return arm.evaluate(lambda robot, motion, p: of(stacked_matrices(robot, motion, p), motion))
-
-
-def test_propagation_is_the_inverse(arm):
-    product = evaluated(
-        arm, lambda s, _: ca.mtimes(ca.DM.eye(6 * arm.robot.n) - s.transport, s.propagation)
-    )
-    assert_close(product, np.broadcast_to(np.eye(6 * arm.robot.n), product.shape))
-
-
-def test_mass_matrix(arm):
-    expected = arm.compiled.mass_matrix(arm.states[0], arm.robot.link_parameters)
-    assert_close(evaluated(arm, lambda s, _: s.mass_matrix), expected)
-
-
-def test_velocity_matrix(arm):
-    ours = evaluated(arm, lambda s, motion: ca.mtimes(s.velocity_matrix, motion.dq))
-    assert_close(ours[:, :, 0], coriolis_torques(arm))
-
-
-def test_mass_rate_minus_2v_is_not_skew(arm):
-    """V of Eq. 5 is not the C of a passivity proof."""
-    symmetric, rate = not_skew(arm, lambda *parts: stacked_matrices(*parts).velocity_matrix)
-    assert np.abs(symmetric).max() > 0.1 * np.abs(rate).max()
-
-
-def test_gravity(arm):
-    expected = per_state(arm, lambda m, d, q, dq, ddq: pin.computeGeneralizedGravity(m, d, q))
-    assert_close(evaluated(arm, lambda s, _: s.gravity)[:, :, 0], expected)
-
-
-def test_jacobian_is_in_the_axes_of_the_tool(arm):
-    def theirs(model, data, q, dq, ddq):
-        j = pin.computeFrameJacobian(model, data, q, arm.tool, pin.ReferenceFrame.LOCAL)
-        j = np.reshape(j, (6, -1))
-        return np.vstack([j[3:], j[:3]])  # [ω; v]
-
-    assert_close(evaluated(arm, lambda s, _: s.jacobian), per_state(arm, theirs))
 
 
 def test_equation_4_with_a_wrench_is_the_recursion(arm):
@@ -85,7 +36,10 @@ def test_equation_4_with_a_wrench_is_the_recursion(arm):
     def by_recursion(robot, motion, parameters):
         return recursion.inverse_dynamics(robot, motion, parameters, tool_wrench=ca.SX(wrench))
 
-    assert_close(evaluated(arm, stacked), arm.evaluate(by_recursion), 1e-12)
+    ours = arm.evaluate(
+        lambda robot, motion, p: stacked(stacked_matrices(robot, motion, p), motion)
+    )
+    assert_close(ours, arm.evaluate(by_recursion), 1e-12)
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,6 @@
 `test_base_parameters` compares the latter with the numerical rank of Pinocchio's regressor.
 """
 
-import dataclasses
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from robot.random_arms import random_arm
 
 from lieid_casadi import Model, Robot, robots
 from lieid_casadi.dynamics.base_parameters import base_parameters
-from lieid_casadi.dynamics.laurent import Laurent, quotient
 from lieid_casadi.dynamics.symbolic_lengths import symbolic_lengths
 from lieid_casadi.errors import ModelError
 
@@ -45,8 +42,8 @@ def test_real_arms(path, lock):
     check(Robot.from_urdf(path, lock=lock), FRICTION)
 
 
-@given(seed=st.integers(0, 10_000), n=st.integers(2, 5))
-@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 10_000), n=st.integers(2, 4))
+@settings(max_examples=6, deadline=None)
 def test_random_arms(seed, n):
     """Revolute and prismatic joints, axes in any direction, some off their link frames."""
     check(random_arm(np.random.default_rng(seed), n), tolerance=1e-6)
@@ -84,53 +81,6 @@ def test_angles_as_symbols():
 
 def test_other_functions_of_symbols_are_refused():
     length = ca.SX.sym("length")
-    robot = Robot.from_screws([[0, 0, 1, 0, 0, 0]], [{"xyz": [ca.sqrt(length), 0, 0]}])
-    with pytest.raises(ModelError, match=r"the geometry has sqrt\(length\); expected sums"):
+    robot = Robot.from_screws([[0, 0, 1, 0, 0, 0]], [{"xyz": [ca.exp(length), 0, 0]}])
+    with pytest.raises(ModelError, match="depends on length is no polynomial of low degree"):
         base_parameters(robot)
-
-
-def test_a_derivation_that_differs_from_the_numbers_is_refused(monkeypatch):
-    from lieid_casadi.dynamics import base_parameters as module
-
-    robot = symbolic_lengths(robots.two_link()).robot
-    other = dataclasses.replace(robot, joints=robot.joints[::-1])
-    monkeypatch.setattr(module, "_of_polynomials", lambda _: original(other))
-    with pytest.raises(ModelError, match="differs from that with numbers"):
-        base_parameters(robot)
-
-
-def original(robot):
-    from lieid_casadi.dynamics.laurent import polynomials
-
-    joints = tuple(
-        dataclasses.replace(
-            j, screw=polynomials(j.screw, snap=1e-9), home=polynomials(j.home, snap=1e-9)
-        )
-        for j in robot.joints
-    )
-    return dataclasses.replace(robot, joints=joints)
-
-
-@given(
-    values=st.lists(st.floats(-3, 3).filter(lambda x: abs(x) > 0.1), min_size=6, max_size=6),
-    at=st.lists(st.floats(0.5, 2.0), min_size=2, max_size=2),
-)
-@settings(max_examples=30, deadline=None)
-def test_polynomials_calculate(values, at):
-    a, b, c, d, e, f = values
-    x, y = Laurent.symbol("x"), Laurent.symbol("y")
-    where = dict(zip("xy", at, strict=True))
-    p, q = a * x * x - b * y + c, d * x + e * y / x + f
-
-    def value(z):
-        return z.at(where) if isinstance(z, Laurent) else z
-
-    for made, expected in (
-        (p * q, value(p) * value(q)),
-        (p - q + 1.0, value(p) - value(q) + 1.0),
-        (quotient(p * q, q), value(p)),
-        (2.0 / (x * y), 2.0 / (at[0] * at[1])),
-    ):
-        np.testing.assert_allclose(value(made), expected, rtol=1e-9, atol=1e-9)
-    assert quotient(p * q + x, q) is None
-    assert (p - p) == 0.0

@@ -60,7 +60,7 @@ def test_prefix_must_be_a_name(fit, tmp_path, prefix):
 
 @pytest.mark.parametrize(
     "prefix",
-    ["test", "math", "lieid_runtime", "LIEID_runtime", "lieid_sign", "int", "Class", "stdio", "m"],
+    ["lieid_runtime", "LIEID_runtime", "lieid_sign", "int", "Class"],
 )
 def test_a_prefix_that_clashes_is_refused(fit_file, tmp_path, capsys, prefix):
     words = ["export", str(fit_file), "--to", "c", "-o", str(tmp_path / "out"), "--prefix", prefix]
@@ -165,6 +165,5 @@ def test_command_writes_a_urdf(tmp_path, capsys):
     fitted(lieid.robots.two_link()).save(tmp_path / "fit.json")
     words = ["export", str(tmp_path / "fit.json"), "--to", "urdf", "-o", str(tmp_path / "out")]
     assert main(words) == 0
-    written = {"two_link.urdf", "two_link_joints.xml", "two_link_joints.yaml", MANIFEST}
-    assert names(tmp_path / "out") == written
+    assert names(tmp_path / "out") == {"two_link.urdf", MANIFEST}
     assert "written to" in capsys.readouterr().out

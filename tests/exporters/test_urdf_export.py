@@ -6,7 +6,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import yaml
 from real_arms import URDFS
 from robot.random_arms import random_arm
 
@@ -230,29 +229,7 @@ def test_members_are_scaled_if_the_identified_inertia_is_smaller(bench, tmp_path
 def test_effects_that_are_not_exported_are_named(bench, tmp_path):
     notes = export(bench, tmp_path, to="urdf").notes
     assert any("no element for armature" in note for note in notes)
-    assert any("URDF and MuJoCo have no element for it: offset" in note for note in notes)
-
-
-def test_the_mujoco_file_has_armature_damping_and_friction(bench, tmp_path):
-    import mujoco
-
-    done = export(bench, tmp_path, to="urdf")
-    body = '<body><joint class="identified_{}" axis="0 0 1"/><geom size="1"/></body>'
-    xml = (
-        f'<mujoco><include file="{done.files[1].name}"/><worldbody>'
-        + body.format("shoulder")
-        + body.format("elbow")
-        + "</worldbody></mujoco>"
-    )
-    (tmp_path / "model.xml").write_text(xml)
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
-    numbers = dict(
-        zip([c.label for c in bench.model.columns], bench.effect_coefficients, strict=True)
-    )
-    for j in (1, 2):
-        assert model.dof_armature[j - 1] == numbers[f"armature.I_a:{j}"]
-        assert model.dof_damping[j - 1] == numbers[f"viscous.f_v:{j}"]
-        assert model.dof_frictionloss[j - 1] == numbers[f"coulomb.f_c:{j}"]
+    assert any("URDF has no element for it: offset" in note for note in notes)
 
 
 def test_a_fit_without_certificate_is_refused_with_the_command(bench, tmp_path):
@@ -296,26 +273,6 @@ def test_offset_axes_prismatic_joints_and_other_gravity(seed, tmp_path):
 def test_urdfs_of_real_arms(path, lock, tmp_path):
     fit = fitted(lieid.Robot.from_urdf(path, lock=lock))
     check_torques(export(fit, tmp_path, to="urdf").files[0], fit)
-
-
-def test_ros2_control_and_isaac_joints(tmp_path):
-    robot = lieid.robots.two_link()
-    fit = fitted(robot)
-    done = export(fit, tmp_path / "torque", to="urdf")
-    assert ElementTree.parse(done.files[0]).getroot().find("ros2_control") is None
-    law = lieid.Drive(stiffness=30.0, damping=2.0)
-    driven = replace(fit, model=lieid.Model(robot.with_drives(law), EFFECTS))
-    done = export(driven, tmp_path / "position", to="urdf")
-    control = ElementTree.parse(done.files[0]).getroot().find("ros2_control")
-    assert [joint.get("name") for joint in control.findall("joint")] == ["shoulder", "elbow"]
-    assert {e.get("name") for e in control.iter("command_interface")} == {"position"}
-    joints = yaml.safe_load(done.files[2].read_text())
-    values = dict(zip([c.label for c in fit.model.columns], fit.effect_coefficients, strict=True))
-    assert joints["elbow"]["stiffness"] == 30.0
-    assert joints["elbow"]["damping"] == pytest.approx(2.0 + values["viscous.f_v:2"])
-    assert joints["elbow"]["armature"] == pytest.approx(values["armature.I_a:2"])
-    assert joints["elbow"]["effort_limit_sim"] == 15.0
-    assert lieid.Robot.from_urdf(done.files[0]).n == 2
 
 
 @pytest.mark.parametrize("case", ["compensated", "small motion"])

@@ -1,12 +1,13 @@
 """Histories of fleets whose rows are drawn, not computed from recordings."""
 
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, timedelta
 
 import numpy as np
 
 from lieid_casadi.fleet.history import ArmEntry, History
 from lieid_casadi.fleet.night_result import (
     ArmNight,
+    Batch,
     Finding,
     JointError,
     NightResult,
@@ -56,7 +57,7 @@ def write_history(path, nights, arms, change=lambda serial, k: {}, *, limits=Non
     with History(path) as history:
         history.set_arms([ArmEntry(serial, "robot", 2, "f", limits or {}) for serial in arms])
         for k in range(nights):
-            for serial in arms:
-                result = drawn_result(random, serial, k, **change(serial, k))
-                history.record(night_of(serial, k), result, datetime.now(UTC))
+            results = [drawn_result(random, serial, k, **change(serial, k)) for serial in arms]
+            nights_of_arms = [night_of(serial, k) for serial in arms]
+            history.add(Batch.of(list(zip(nights_of_arms, results, strict=True))))
     return path

@@ -13,7 +13,7 @@ from fleet.synthetic_history import drawn_result
 from lieid_casadi.cli.main import main
 from lieid_casadi.fleet import cluster as arm_nights
 from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.night_result import ArmNight, NightResult
+from lieid_casadi.fleet.night_result import ArmNight, Batch, NightResult
 
 
 @pytest.mark.slow
@@ -48,17 +48,14 @@ def test_ctrl_c_keeps_what_is_finished(fleet_folder):
 def test_an_arm_night_beyond_the_memory_of_a_worker_fails_alone(monkeypatch):
     """Nights that wait on the same worker are not given up with it."""
 
-    def greedy(night, fit_content, key):
-        from distributed import get_worker
-
-        worker = get_worker()
-        worker.log_event(arm_nights.TOPIC, {"key": key, "worker": worker.address})
-        if night.date == "2026-01-02":
+    def greedy(nights, fits, expected):
+        if any(night.date == "2026-01-02" for night in nights):
             kept = np.ones(10**8)
             time.sleep(60.0 + kept[0])
-        return NightResult("done")
+        return Batch.of([(night, NightResult("done")) for night in nights])
 
-    monkeypatch.setattr(arm_nights, "reporting_arm_night", greedy)
+    monkeypatch.setattr(arm_nights, "run_arm_nights", greedy)
+    monkeypatch.setattr(arm_nights, "BATCHES_PER_THREAD", 1)  # all nights in one
     nights = [ArmNight("A1", f"2026-01-0{k}", f"{k}.csv", "", "f") for k in (1, 2, 3)]
     options, found = arm_nights.RunOptions(workers=1, memory="500MB"), {}
     with arm_nights.dask_client(options) as client:
@@ -68,12 +65,10 @@ def test_an_arm_night_beyond_the_memory_of_a_worker_fails_alone(monkeypatch):
         assert all(int(size) >= 2**20 for size in trimmed.values())  # Dask's 64 kB are slow
         arm_nights.run_on_cluster(
             client, nights, {"f": b""}, options,
-            finished=lambda night, result: found.update({night.date[-1]: result}),
+            finished=lambda batch: found.update({day[-1]: rest for _, day, *rest in batch.lines}),
         )  # fmt: skip
-    assert {key: result.status for key, result in found.items()} == {
-        "1": "done", "2": "failed", "3": "done",
-    }  # fmt: skip
-    assert "out of memory" in found["2"].reason
+    assert [found[day][0] for day in "123"] == ["done", "failed", "done"]
+    assert "out of memory" in found["2"][1]
 
 
 def run(folder, scheduler, *options):
@@ -98,21 +93,21 @@ def test_an_exception_in_one_arm_night_fails_its_row_only(fleet_folder, schedule
 
 
 def test_an_arm_night_that_takes_too_long_fails(fleet_folder, scheduler, monkeypatch):
-    recorded, record = threading.Event(), History.record
+    recorded, add = threading.Event(), History.add
 
     def slow(night, content):
         if night.date == "2026-01-02" and night.serial == "A1":
             recorded.wait(300.0)  # its worker takes the other nights after it
         return NightResult("done", recording_sha256=f"{night.serial}{night.date}")
 
-    def noted(self, night, result, started):
-        if (night.serial, night.date, result.status) == ("A1", "2026-01-02", "failed"):
+    def noted(self, batch):
+        if ("A1", "2026-01-02", "failed") in [line[:3] for line in batch.lines]:
             recorded.set()
-        record(self, night, result, started)
+        add(self, batch)
 
     monkeypatch.setattr(arm_nights, "run_arm_night", slow)
     monkeypatch.setattr(arm_nights, "CHECK_EVERY", 0.1)
-    monkeypatch.setattr(History, "record", noted)
+    monkeypatch.setattr(History, "add", noted)
     assert run(fleet_folder, scheduler, "--timeout", "0.8") == 0
     assert recorded.is_set()
     assert ("failed", "not finished after 0.8 s (--timeout)") in reasons(fleet_folder)

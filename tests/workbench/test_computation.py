@@ -216,7 +216,7 @@ def test_poses_are_the_forward_kinematics(two_link_files):
     ("kind", "names"),
     [
         ("c", ["c/CMakeLists.txt"]),
-        ("urdf", ["urdf/two_link.urdf", "urdf/two_link_joints.xml"]),
+        ("urdf", ["urdf/two_link.urdf"]),
         ("mjcf", ["mjcf/two_link.xml"]),
     ],
 )

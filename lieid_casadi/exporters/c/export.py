@@ -11,12 +11,11 @@ from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.c.functions import (
     RUNTIME,
     WITHOUT_NUMBERS,
-    ExportForm,
     exported_functions,
     select,
 )
 from lieid_casadi.exporters.c.self_test import self_test_content
-from lieid_casadi.exporters.c.statements import DOUBLE, SINGLE
+from lieid_casadi.exporters.c.statements import number
 from lieid_casadi.exporters.c.templates import comment, render, template_variables, wrapped
 from lieid_casadi.identification.fit import Fit
 
@@ -33,22 +32,10 @@ CPP_KEYWORDS = (
     "protected public reinterpret_cast requires static_cast template this throw try typeid "
     "typename using virtual wchar_t xor xor_eq final override"
 )
-STANDARD_HEADERS = (  # PREFIX.h would be included in their place
-    "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal "
-    "stdalign stdarg stdatomic stdbit stdbool stdckdint stddef stdint stdio stdlib stdnoreturn "
-    "string strings tgmath threads time uchar wchar wctype memory malloc alloca unistd fcntl "
-    "pthread sched semaphore dirent dlfcn features poll sys"
-)
-BUILD_TARGETS = (  # of CMake and its generators; c and m are libraries
-    "all all_build c clean continuous depend edit_cache experimental help install m nightly "
-    "package package_source rebuild_cache run_tests test zero_check"
-)
 OWN_FILES = "lieid_runtime"
 _CLASHES = {
     **dict.fromkeys(C_KEYWORDS.split(), "a keyword of C"),
     **dict.fromkeys(CPP_KEYWORDS.split(), "a keyword of C++"),
-    **dict.fromkeys(STANDARD_HEADERS.split(), "the name of a system header"),
-    **dict.fromkeys(BUILD_TARGETS.split(), "a name that build tools use"),
     **dict.fromkeys(OWN_FILES.split(), "a file of every export"),
 }
 
@@ -80,7 +67,6 @@ def c_files(
     prefix: str = "arm",
     functions: Sequence[str] | None = None,
     runtime: Sequence[str] = (),
-    float32: bool = False,
 ) -> tuple[dict[str, bytes], list[str]]:
     """Return library, self-test, CMake project and README by file name, and notes for their users.
 
@@ -93,7 +79,7 @@ def c_files(
     """
     check_prefix(prefix)
     for value in (*fit.parameters, *fit.values, *fit.shapes):
-        DOUBLE.number(value)
+        number(value)
     unknown = [name for name in runtime if name not in RUNTIME]
     if unknown:
         raise ExportError(f"runtime: got {unknown[0]!r}; expected some of {', '.join(RUNTIME)}")
@@ -103,14 +89,12 @@ def c_files(
         if runtime:
             notes.append(f"{', '.join(runtime)}: no function depends on it, so it is no argument")
         runtime = ()
-    form = ExportForm(
-        SINGLE if float32 else DOUBLE, tuple(name for name in RUNTIME if name in runtime)
-    )
-    made = exported_functions(fit, chosen, form)
+    given = tuple(name for name in RUNTIME if name in runtime)
+    made = exported_functions(fit, chosen, given)
     comments = [comment(note) for note in notes]
-    content = template_variables(fit, prefix, made, form)
+    content = template_variables(fit, prefix, made, given)
     content |= {"notes": comments, "note_lines": wrapped(comments)}
-    content |= self_test_content(fit, made.bodies, form)
+    content |= self_test_content(fit, made.bodies, given)
     templates = {
         f"{prefix}.h": "arm.h.jinja",
         f"{prefix}.c": "arm.c.jinja",
@@ -120,9 +104,8 @@ def c_files(
         "README.md": "README.md.jinja",
     }
     files = {name: render(template, content).encode() for name, template in templates.items()}
-    headers = ["lieid_runtime.h", *(["lieid_runtime_float.h"] if float32 else [])]
-    files |= {name: (codegen_folder() / "export" / name).read_bytes() for name in headers}
-    return files, notes
+    header = "lieid_runtime.h"
+    return files | {header: (codegen_folder() / "export" / header).read_bytes()}, notes
 
 
 def _notes(fit: Fit) -> list[str]:

@@ -15,12 +15,11 @@ from lieid_casadi.exporters.c.expressions import (
     export_expressions,
 )
 from lieid_casadi.exporters.c.statements import (
-    DOUBLE,
     FunctionBody,
     FunctionInput,
-    Precision,
     body,
     each,
+    number,
 )
 from lieid_casadi.expressions.forward_dynamics import obstacle
 from lieid_casadi.expressions.torque import TorqueExpressions, Values
@@ -58,14 +57,6 @@ _RESULTS = {  # name of the result, where it is no matrix
     "forward_dynamics": "acceleration",
 }
 NUMBERS = {"parameters": "link_parameters", "effects": "effect_coefficients"}  # input: name in C
-
-
-@dataclass(frozen=True)
-class ExportForm:
-    """How numbers appear in exported C: their type, and those that are arguments (`RUNTIME`)."""
-
-    precision: Precision = DOUBLE
-    runtime: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,18 +104,20 @@ def _no_forward_dynamics(fit: Fit) -> dict[str, str]:
 
 
 def exported_functions(
-    fit: Fit, names: Sequence[str], form: ExportForm | None = None
+    fit: Fit, names: Sequence[str], runtime: Sequence[str] = ()
 ) -> ExportedFunctions:
-    """Return the C of functions (of `select`), and of those that they call."""
-    form = form or ExportForm()
-    made = export_expressions(fit, form.runtime)
+    """Return the C of functions (of `select`), and of those that they call.
+
+    ``runtime``: numbers that are arguments, of `RUNTIME`.
+    """
+    made = export_expressions(fit, runtime)
     numbers = {
         NUMBERS.get(name, name): each(symbol, f"numbers->{NUMBERS.get(name, name)}[{{j}}]")
         for name, symbol in made.further_inputs(static=True).items()
     }
     references = {"dq_r": each(made.dq_r, "dq_r[{j}]"), "ddq_r": each(made.ddq_r, "ddq_r[{j}]")}
-    rigid = _motion_inputs(made.motion, form.precision) | numbers | references
-    sample = _sample_inputs(fit, made, form.precision) | numbers
+    rigid = _motion_inputs(made.motion) | numbers | references
+    sample = _sample_inputs(fit, made) | numbers
     further = {
         "": {},
         "load": {"load": each(made.load, "load[{j}]")},
@@ -132,7 +125,7 @@ def exported_functions(
     }
     advance = None
     if fit.model.states and any(name in SAMPLE_ARGUMENTS for name in names):
-        advance = _advance(fit, made, form, numbers)
+        advance = _advance(fit, made, runtime, numbers)
     remembers = advance is not None and "before_load" in advance.used
     reads = remembers or (advance is not None and "load" in advance.used)
     bodies = {}
@@ -143,15 +136,14 @@ def exported_functions(
                 getattr(made, name),
                 inputs,
                 to=_RESULTS.get(name, "matrix"),
-                arguments=_arguments(name, form),
-                precision=form.precision,
+                arguments=_arguments(name, runtime),
             )
     return ExportedFunctions(bodies, advance, remembers, reads)
 
 
-def _arguments(name: str, form: ExportForm) -> list[str]:
+def _arguments(name: str, runtime: Sequence[str]) -> list[str]:
     """Return the names of a C function's arguments."""
-    numbers = ["numbers"] if form.runtime and name not in WITHOUT_NUMBERS else []
+    numbers = ["numbers"] if runtime and name not in WITHOUT_NUMBERS else []
     if name in RIGID_ARGUMENTS:
         return [*RIGID_ARGUMENTS[name], *numbers]
     given = [SAMPLE_ARGUMENTS[name]] if SAMPLE_ARGUMENTS[name] else []
@@ -159,13 +151,13 @@ def _arguments(name: str, form: ExportForm) -> list[str]:
 
 
 def _advance(
-    fit: Fit, made: ExportExpressions, form: ExportForm, numbers: dict[str, FunctionInput]
+    fit: Fit, made: ExportExpressions, runtime: Sequence[str], numbers: dict[str, FunctionInput]
 ) -> FunctionBody:
     """Return the body that computes the states at a sample from those at the sample before."""
     before = SampleSymbols.before(fit.model.n)
-    past = _signal_inputs(fit, before, form.precision, of="state->before.")
+    past = _signal_inputs(fit, before, of="state->before.")
     past["load"] = each(before.load, "state->before_load[{j}]")
-    inputs = _sample_inputs(fit, made, form.precision) | numbers
+    inputs = _sample_inputs(fit, made) | numbers
     inputs["load"] = each(made.load, "load[{j}]")
     inputs |= {f"before_{name}": given for name, given in past.items()}
     arguments = ["state", "sample", "load", "smooth_velocity"]
@@ -173,44 +165,38 @@ def _advance(
         ca.densify(made.advance(before)),
         inputs,
         to="after",
-        arguments=[*arguments, *(["numbers"] if form.runtime else [])],
-        precision=form.precision,
+        arguments=[*arguments, *(["numbers"] if runtime else [])],
     )
 
 
-def _motion_inputs(
-    motion: Motion, precision: Precision, *, of: str = ""
-) -> dict[str, FunctionInput]:
+def _motion_inputs(motion: Motion, *, of: str = "") -> dict[str, FunctionInput]:
     """Return the inputs of functions of the motion; ``of``: C of a sample, such as ``sample->``."""
     return {
         "q": each(motion.q, of + "q[{j}]"),
-        "sin": each(motion.sin, f"{precision.call('sin')}({of}q[{{j}}])"),
-        "cos": each(motion.cos, f"{precision.call('cos')}({of}q[{{j}}])"),
+        "sin": each(motion.sin, f"sin({of}q[{{j}}])"),
+        "cos": each(motion.cos, f"cos({of}q[{{j}}])"),
         "dq": each(motion.dq, of + "dq[{j}]"),
         "ddq": each(motion.ddq, of + "ddq[{j}]"),
     }
 
 
 def _signal_inputs(
-    fit: Fit, symbols: SampleSymbols | ExportExpressions, precision: Precision, *, of: str
+    fit: Fit, symbols: SampleSymbols | ExportExpressions, *, of: str
 ) -> dict[str, FunctionInput]:
     """Return the inputs of functions of a whole sample; ``of``: its C, such as ``sample->``."""
     mean = fit.temperature_mean
     warmth = [
-        f"{of}temperature[{j}]" + (f" - {precision.number(mean[j])}" if mean is not None else "")
+        f"{of}temperature[{j}]" + (f" - {number(mean[j])}" if mean is not None else "")
         for j in range(fit.model.n)
     ]
-    direction = precision.call("lieid_direction")
-    return _motion_inputs(symbols.motion, precision, of=of) | {
-        "sign": each(symbols.sign, f"{direction}({of}dq[{{j}}], smooth_velocity, {{j}})"),
+    return _motion_inputs(symbols.motion, of=of) | {
+        "sign": each(symbols.sign, f"lieid_direction({of}dq[{{j}}], smooth_velocity, {{j}})"),
         "temperature": FunctionInput(symbols.temperature, tuple(warmth)),
         "time": FunctionInput(symbols.time, (f"{of}time",)),
     }
 
 
-def _sample_inputs(
-    fit: Fit, made: ExportExpressions, precision: Precision
-) -> dict[str, FunctionInput]:
+def _sample_inputs(fit: Fit, made: ExportExpressions) -> dict[str, FunctionInput]:
     """Return the inputs of functions of the sample and the state."""
     states = {"states": each(made.states, "state->values[{j}]")}
-    return _signal_inputs(fit, made, precision, of="sample->") | states
+    return _signal_inputs(fit, made, of="sample->") | states

@@ -15,7 +15,6 @@ from lieid_casadi.exporters.c.functions import (
     RIGID_ARGUMENTS,
     SAMPLE_ARGUMENTS,
     WITHOUT_NUMBERS,
-    ExportForm,
 )
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.expressions.torque import Values
@@ -61,13 +60,13 @@ class SelfTestNumbers:
     payload: Array
 
     @classmethod
-    def of(cls, fit: Fit, form: ExportForm) -> SelfTestNumbers:
+    def of(cls, fit: Fit, runtime: Sequence[str]) -> SelfTestNumbers:
         """Return the fit's numbers, changed where they are inputs."""
         links, coefficients, shapes = fit.link_parameters, fit.effect_coefficients, fit.shapes
-        if "parameters" in form.runtime:
+        if "parameters" in runtime:
             links, coefficients, shapes = 1.1 * links, 0.9 * coefficients, 1.05 * shapes
-        payload = np.array(PAYLOAD) if "payload" in form.runtime else np.zeros(10)
-        return cls(*(form.precision.rounded(x) for x in (links, coefficients, shapes, payload)))
+        payload = np.array(PAYLOAD) if "payload" in runtime else np.zeros(10)
+        return cls(links, coefficients, shapes, payload)
 
     def links(self, fit: Fit) -> Array:
         """Return link parameters (10 n,) with the payload."""
@@ -76,20 +75,19 @@ class SelfTestNumbers:
         return made
 
 
-def self_test_data(fit: Fit, names: Collection[str], form: ExportForm) -> SelfTestData:
+def self_test_data(fit: Fit, names: Collection[str], runtime: Sequence[str]) -> SelfTestData:
     """Evaluate functions, with numbers as inputs, along a motion through the joints' ranges.
 
     Joints start at rest, so that sgn(0) = 0 occurs. The torque of forward dynamics is that of the
     motion.
     """
-    inputs = {name: form.precision.rounded(x) for name, x in _motion(fit).items()}
-    width = form.precision.rounded(np.full(fit.model.n, SMOOTHING))
+    inputs, width = _motion(fit), np.full(fit.model.n, SMOOTHING)
     wanted = {*names, *(further for name in names for further in _ALSO.get(name, ()))}
-    machine = _Evaluator(fit, SelfTestNumbers.of(fit, form))
+    machine = _Evaluator(fit, SelfTestNumbers.of(fit, runtime))
     results = machine.rigid(inputs, [name for name in RIGID_ARGUMENTS if name in wanted])
     effects = [name for name in SAMPLE_ARGUMENTS if name in wanted]
     if effects:
-        inputs["load"] = form.precision.rounded(results["rigid_torque"])
+        inputs["load"] = results["rigid_torque"]
         for ending, sign in (
             ("", np.sign(inputs["dq"])),
             ("_smooth", _smooth(inputs["dq"], width)),
@@ -198,10 +196,10 @@ def _of_sample(x: ExportExpressions | SampleSymbols) -> list[ca.SX]:
     return [m.q, m.sin, m.cos, m.dq, m.ddq, x.sign, x.load, x.temperature, x.time]
 
 
-def self_test_content(fit: Fit, names: Collection[str], form: ExportForm) -> dict[str, Any]:
+def self_test_content(fit: Fit, names: Collection[str], runtime: Sequence[str]) -> dict[str, Any]:
     """Return the variables of the template of the self-test of exported functions."""
-    tested = SelfTestNumbers.of(fit, form)
-    stored = self_test_data(fit, names, form)
+    tested = SelfTestNumbers.of(fit, runtime)
+    stored = self_test_data(fit, names, runtime)
     rigid = [name for name in RIGID_ARGUMENTS if name in names]
     calls = [name for name in SAMPLE_ARGUMENTS if name in names]
     results = _compared(stored.results, names, calls)
@@ -209,7 +207,7 @@ def self_test_content(fit: Fit, names: Collection[str], form: ExportForm) -> dic
     arrays = _inputs_read(stored, rigid, calls)
     arrays += [(name, values.ravel()) for name, values in results.items()]
     arrays += list(parameters.items())
-    if form.runtime:
+    if runtime:
         arrays += _factors(fit, tested, names)
     if stored.acceleration_scale is not None:
         arrays.append(("acceleration_scale", stored.acceleration_scale))
@@ -228,8 +226,8 @@ def self_test_content(fit: Fit, names: Collection[str], form: ExportForm) -> dic
             (name, RIGID_ARGUMENTS[name], sizes[name], name not in WITHOUT_NUMBERS)
             for name in rigid
         ],
-        "own": "tested" if form.runtime else None,
-        "numbers_given": _numbers_given(tested, form),
+        "own": "tested" if runtime else None,
+        "numbers_given": _numbers_given(tested, runtime),
         "effect_calls": [(name, SAMPLE_ARGUMENTS[name], sizes[name]) for name in calls],
         "multiplies": bool(products) or "regressor" in names,
         "signs": [("", "NULL"), ("_smooth", "smooth_velocity")] if calls else [],
@@ -287,11 +285,11 @@ def _factors(fit: Fit, tested: SelfTestNumbers, names: Collection[str]) -> list[
     return [factor for name, factor in factors.items() if name in names]
 
 
-def _numbers_given(tested: SelfTestNumbers, form: ExportForm) -> list[tuple[str, Array]]:
+def _numbers_given(tested: SelfTestNumbers, runtime: Sequence[str]) -> list[tuple[str, Array]]:
     """Return the numbers that are inputs of the exported functions."""
     return [
         (name, getattr(tested, name))
         for name in ("link_parameters", "effect_coefficients", "shapes", "payload")
         if len(getattr(tested, name))
-        and ("payload" if name == "payload" else "parameters") in form.runtime
+        and ("payload" if name == "payload" else "parameters") in runtime
     ]

@@ -1,4 +1,4 @@
-"""CasADi expressions as statements of plain C99, in double or single precision."""
+"""CasADi expressions as statements of plain C99."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi.errors import ExportError
 from lieid_casadi.expressions.c_writer import ARITHMETIC, Dialect, UnsupportedOperation, statements
@@ -31,67 +28,21 @@ _RUNTIME = (  # codegen/export/lieid_runtime.h
 _RUNTIME_OF_TWO = ("FMIN", "FMAX", "COPYSIGN", "ATAN2", "HYPOT")
 
 
-@dataclass(frozen=True)
-class Precision:
-    """A floating-point type of C, with the suffix of its literals and functions.
-
-    ``tolerance`` is the error that the self-test accepts, relative to the size of each result.
-    """
-
-    real: str
-    suffix: str
-    tolerance: float
-
-    def number(self, value: float) -> str:
-        """Return a finite number as C reads it back, bit by bit.
-
-        Numbers beyond the range of the type, such as thresholds, become its largest or least.
-        """
-        if not math.isfinite(value):
-            raise ExportError(f"the fit has a number that is {value}; expected finite ones")
-        text = repr(float(value))
-        if self.suffix and value != 0.0:
-            info = np.finfo(np.float32)
-            size = np.float32(np.clip(abs(value), info.tiny, info.max))
-            text = f"{'-' if value < 0.0 else ''}{_with_point(str(size))}"
-        text += self.suffix
-        return f"({text})" if text.startswith("-") else text
-
-    def rounded(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the nearest values of the type."""
-        return values.astype(np.float32 if self.suffix else np.float64).astype(np.float64)
-
-    def call(self, name: str) -> str:
-        """Return the name of a function of the mathematical library or of the runtime header."""
-        return name + self.suffix
-
-    @cached_property
-    def dialect(self) -> Dialect:
-        """How CasADi's operations are written."""
-        functions = {name: f"{self.call(name.lower())}({{0}})" for name in _LIBRARY}
-        functions |= {name: f"{self.call('lieid_' + name.lower())}({{0}})" for name in _RUNTIME}
-        functions |= {
-            name: f"{self.call('lieid_' + name.lower())}({{0}}, {{1}})" for name in _RUNTIME_OF_TWO
-        }
-        literal = re.compile(r"(?<![\w.])([01]\.0)(?!\w)")
-        shared = {
-            name: literal.sub(rf"\g<1>{self.suffix}", pattern).replace(
-                "lieid_pow(", f"lieid_pow{self.suffix}("
-            )
-            for name, pattern in (ARITHMETIC | _CONDITIONS).items()
-        }
-        return Dialect(f"const {self.real}", shared | functions, self.number)
+TOLERANCE = 1e-12  # error that the self-test accepts, relative to the size of each result
 
 
-def _with_point(text: str) -> str:
-    """Return a number as a floating-point literal: with a point or an exponent."""
-    return text if re.search(r"[.e]", text) else f"{text}.0"
+def number(value: float) -> str:
+    """Return a finite number as C reads it back, bit by bit."""
+    if not math.isfinite(value):
+        raise ExportError(f"the fit has a number that is {value}; expected finite ones")
+    text = repr(float(value))
+    return f"({text})" if text.startswith("-") else text
 
 
-DOUBLE = Precision("double", "", 1e-12)
-SINGLE = Precision("float", "f", 1e-5)
-
-
+_FUNCTIONS = {name: f"{name.lower()}({{0}})" for name in _LIBRARY}
+_FUNCTIONS |= {name: f"lieid_{name.lower()}({{0}})" for name in _RUNTIME}
+_FUNCTIONS |= {name: f"lieid_{name.lower()}({{0}}, {{1}})" for name in _RUNTIME_OF_TWO}
+DIALECT = Dialect("const double", ARITHMETIC | _CONDITIONS | _FUNCTIONS, number)
 INDENT = "    "
 ZEROS_PER_LINE = 5
 
@@ -132,7 +83,6 @@ def body(
     *,
     to: str,
     arguments: Sequence[str] = (),
-    precision: Precision = DOUBLE,
 ) -> FunctionBody:
     """Return the C statements that evaluate a matrix and write it, zeros too, to an array.
 
@@ -154,7 +104,7 @@ def body(
         return f"{to}[{places[nonzero]}] = {value};"
 
     try:
-        written = statements(sparse.function, precision.dialect, read=read, write=write)
+        written = statements(sparse.function, DIALECT, read=read, write=write)
     except UnsupportedOperation as error:
         raise ExportError(
             f"an effect uses CasADi's operation {error.operation}, which exported C does not have; "
@@ -162,15 +112,15 @@ def body(
             "functions"
         ) from None
     by_joint = sorted(written.inputs, key=lambda x: (x.index, x.argument))
-    loads = [f"{precision.dialect.declaration} {x.name} = {x.text};" for x in by_joint]
+    loads = [f"{DIALECT.declaration} {x.name} = {x.text};" for x in by_joint]
     read_names = set(re.findall(r"\w+", " ".join(x.text for x in by_joint)))
     unused = [f"(void){name};" for name in arguments if name not in read_names]
-    zeros = _zeros(to, matrix.shape[0] * columns, places, precision)
+    zeros = _zeros(to, matrix.shape[0] * columns, places)
     used = frozenset(names[x.argument] for x in written.inputs)
     return FunctionBody((*unused, *loads, *zeros, *written.lines), used, written.operations)
 
 
-def _zeros(to: str, size: int, places: Sequence[int], precision: Precision) -> list[str]:
+def _zeros(to: str, size: int, places: Sequence[int]) -> list[str]:
     """Return statements that write the structural zeros.
 
     Not as loops: compilers make `memset` or ``rep stos`` of them, which start so slowly that they
@@ -178,7 +128,6 @@ def _zeros(to: str, size: int, places: Sequence[int], precision: Precision) -> l
     """
     zeros = sorted(set(range(size)) - set(places))
     return [
-        "".join(f"{to}[{k}] = " for k in zeros[first : first + ZEROS_PER_LINE])
-        + f"{precision.number(0.0)};"
+        "".join(f"{to}[{k}] = " for k in zeros[first : first + ZEROS_PER_LINE]) + "0.0;"
         for first in range(0, len(zeros), ZEROS_PER_LINE)
     ]

@@ -18,9 +18,8 @@ from lieid_casadi.exporters.c.functions import (
     RIGID_ARGUMENTS,
     SAMPLE_ARGUMENTS,
     ExportedFunctions,
-    ExportForm,
 )
-from lieid_casadi.exporters.c.statements import Precision
+from lieid_casadi.exporters.c.statements import TOLERANCE, number
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.robot import Robot
@@ -67,9 +66,9 @@ def markdown(text: str) -> str:
     return re.sub(r"([\\`*\[\]|~$])", r"\\\1", shown)
 
 
-def numbers(values: NDArray[np.float64], precision: Precision) -> str:
+def numbers(values: NDArray[np.float64]) -> str:
     """Return the initializers of an array, wrapped."""
-    words = ", ".join(precision.number(float(value)).strip("()") for value in np.ravel(values))
+    words = ", ".join(number(float(value)).strip("()") for value in np.ravel(values))
     return textwrap.fill(words, WIDTH, initial_indent="    ", subsequent_indent="    ")
 
 
@@ -111,33 +110,32 @@ def _environment() -> Environment:
 
 
 def template_variables(
-    fit: Fit, prefix: str, made: ExportedFunctions, form: ExportForm
+    fit: Fit, prefix: str, made: ExportedFunctions, runtime: Sequence[str]
 ) -> dict[str, Any]:
     """Return the variables that all templates share; ``prefix`` is that of files and functions."""
     return {
-        **_of_form(prefix, form),
-        **_of_fit(fit, form.precision),
-        **_of_model(fit.model, form.precision),
+        **_of_form(prefix, runtime),
+        **_of_fit(fit),
+        **_of_model(fit.model),
         **_of_functions(fit.model, made),
     }
 
 
-def _of_form(prefix: str, form: ExportForm) -> dict[str, Any]:
+def _of_form(prefix: str, runtime: Sequence[str]) -> dict[str, Any]:
     return {
-        "precision": form.precision,
-        "real": form.precision.real,
-        "runtime": form.runtime,
+        "tolerance": TOLERANCE,
+        "runtime": runtime,
         # the argument of run-time numbers: of a function, of `advance`, in calls of these
-        "N": f"const {prefix}_numbers *numbers, " if form.runtime else "",
-        "M": f", const {prefix}_numbers *numbers" if form.runtime else "",
-        "B": "&numbers, " if form.runtime else "",
-        "C": ", &numbers" if form.runtime else "",
+        "N": f"const {prefix}_numbers *numbers, " if runtime else "",
+        "M": f", const {prefix}_numbers *numbers" if runtime else "",
+        "B": "&numbers, " if runtime else "",
+        "C": ", &numbers" if runtime else "",
         "p": prefix,
         "P": prefix.upper(),
     }
 
 
-def _of_fit(fit: Fit, precision: Precision) -> dict[str, Any]:
+def _of_fit(fit: Fit) -> dict[str, Any]:
     """Return the identified numbers and where they are from."""
     from lieid_casadi import __version__
 
@@ -151,16 +149,16 @@ def _of_fit(fit: Fit, precision: Precision) -> dict[str, Any]:
             for s in fit.provenance.recordings
         ],
         "links": [
-            {"label": parameter.label, "number": _initializer(value, precision)}
+            {"label": parameter.label, "number": _initializer(value)}
             for parameter, value in zip(model.link_parameters, fit.link_parameters, strict=True)
         ],
-        "base": _rows(precision, model.base_columns, fit.values, base, fit.std),
-        "coefficients": _rows(precision, model.columns, fit.effect_coefficients),
-        "shapes": _rows(precision, model.shapes, fit.shapes, stds=fit.std[len(fit.values) :]),
+        "base": _rows(model.base_columns, fit.values, base, fit.std),
+        "coefficients": _rows(model.columns, fit.effect_coefficients),
+        "shapes": _rows(model.shapes, fit.shapes, stds=fit.std[len(fit.values) :]),
     }
 
 
-def _of_model(model: Model, precision: Precision) -> dict[str, Any]:
+def _of_model(model: Model) -> dict[str, Any]:
     """Return joints, units, effects and the states of these."""
     robot = model.robot
     kinds = {joint.revolute for joint in robot.joints}
@@ -173,7 +171,7 @@ def _of_model(model: Model, precision: Precision) -> dict[str, Any]:
             for j in robot.joints
         ],
         "name_size": max(len(j.name.encode()) for j in robot.joints) + 1,
-        "limits": _limits(robot, _units(kinds), precision),
+        "limits": _limits(robot, _units(kinds)),
         "turns": True in kinds,
         "slides": False in kinds,
         "units": _units(kinds),
@@ -185,7 +183,7 @@ def _of_model(model: Model, precision: Precision) -> dict[str, Any]:
                 "label": comment(state.label),
                 "unit": comment(state.unit),
                 "initial": f"{state.initial:g}",
-                "number": precision.number(state.initial),
+                "number": number(state.initial),
             }
             for place, state in enumerate(model.states)
         ],
@@ -212,7 +210,6 @@ def _of_functions(model: Model, made: ExportedFunctions) -> dict[str, Any]:
 
 
 def _rows(
-    precision: Precision,
     parameters: Sequence[Parameter],
     values: NDArray[np.float64],
     labels: Sequence[str] | None = None,
@@ -223,29 +220,28 @@ def _rows(
         {
             "label": comment(parameter.label if labels is None else labels[k]),
             "unit": comment(parameter.unit),
-            "number": _initializer(values[k], precision),
+            "number": _initializer(values[k]),
             "std": "" if stds is None else f"{stds[k]:.3g}",
         }
         for k, parameter in enumerate(parameters)
     ]
 
 
-def _initializer(value: float, precision: Precision) -> str:
-    return precision.number(value).strip("()")
+def _initializer(value: float) -> str:
+    return number(value).strip("()")
 
 
-def _limits(robot: Robot, units: dict[str, str], precision: Precision) -> list[dict[str, str]]:
+def _limits(robot: Robot, units: dict[str, str]) -> list[dict[str, str]]:
     """Return name in C, unit and initializers of each kind of limit of the joints."""
-    endless = f"HUGE_VAL{precision.suffix.upper()}"
     found = []
     for name, key, unit in (
         ("position_lower", "position_lower", "q"), ("position_upper", "position_upper", "q"),
         ("velocity_limit", "velocity", "dq"), ("acceleration_limit", "acceleration", "ddq"),
         ("torque_limit", "torque", "tau"),
     ):  # fmt: skip
-        none = f"-{endless}" if name == "position_lower" else endless
+        none = "-HUGE_VAL" if name == "position_lower" else "HUGE_VAL"
         stated = robot.limit(key)
-        words = [_initializer(x, precision) if np.isfinite(x) else none for x in stated]
+        words = [_initializer(x) if np.isfinite(x) else none for x in stated]
         found.append({"name": name, "unit": units[unit], "text": ", ".join(words)})
     return found
 
