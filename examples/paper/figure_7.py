@@ -10,7 +10,6 @@ from lab import Lab
 from measure import smaller
 from page import COLOURS, Claim, Section, joints, show, table
 
-from lieid_casadi.effects.friction_models import FRICTION_MODELS
 from lieid_casadi.friction_curves import FrictionCurve, FrictionFit, fit_friction
 
 if TYPE_CHECKING:
@@ -18,9 +17,26 @@ if TYPE_CHECKING:
 
 MODELS = {
     "paper": "Eq. 8",
-    "gao2017_constant_temperature": "ref. 7",
+    "gao2017": "ref. 7",
     "he2021": "ref. 14",
     "madsen2020": "ref. 25",
+}
+EFFECTS = {  # the paper's model, and those of the literature, as far as they were available
+    "paper": "viscous,viscous_polynomial,stribeck/two_width,load_friction/paper",
+    "gao2017": "coulomb,stribeck,load_friction,viscous",
+    "he2021": "coulomb,viscous,stribeck,load_friction/stribeck",
+    "madsen2020": "viscous,viscous_polynomial,presliding/square",
+}
+NOTES = {
+    "gao2017": "Gao et al., IROS 2017: published as one formula of velocity, temperature and load, "
+    "whose terms were not available. Interpreted here as a Stribeck curve, viscous friction and "
+    "dry friction in proportion to |load|, at constant temperature",
+    "he2021": "He et al., ROBIO 2021: published as a Stribeck curve at low speed whose depth "
+    "depends on the load; its terms were not available. Interpreted here as the load-dependent "
+    "part of Bittencourt et al., IROS 2010, with exponent 2",
+    "madsen2020": "Madsen et al., Control Engineering Practice 2020, in the form of the authors' "
+    "program AURT, (F_c + F_cl·τ²)·h + powers of velocity, where h is the sign. Interpreted here "
+    "as one Dahl element for h, powers 1 to 3, and no joint flexibility",
 }
 EXAMPLE = 2  # joint 3, the paper's example
 
@@ -28,7 +44,7 @@ EXAMPLE = 2  # joint 3, the paper's example
 def section(lab: Lab) -> Section:
     """Fit all models to friction with the heaviest payload and predict it with the others."""
     fits = {
-        model: [lab.friction[j] if model == "paper" else fit_friction(lab.curves[j], model)
+        model: [lab.friction[j] if model == "paper" else fit_friction(lab.curves[j], EFFECTS[model])
                 for j in range(N)]
         for model in MODELS
     }  # fmt: skip
@@ -49,11 +65,7 @@ def section(lab: Lab) -> Section:
         for k, mass in enumerate(PAYLOADS)
         for model, title in MODELS.items()
     ]
-    notes = "\n".join(
-        f"- {MODELS[m]}: {FRICTION_MODELS[m].note}."
-        for m in list(MODELS)[1:]
-        if FRICTION_MODELS[m].note
-    )
+    notes = "\n".join(f"- {MODELS[m]}: {note}." for m, note in NOTES.items())
     body = (
         f"Models fitted to the friction with {HEAVIEST:g} kg (Fig. 5), compared with friction "
         "measured with the other payloads: RMS error, N·m. The paper shows its numbers only in a "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from figure_5 import draw_curve
-from figure_7 import MODELS, prediction_errors, smallest
+from figure_7 import EFFECTS, MODELS, prediction_errors, smallest
 from lab import EQ_10, EQ_16, EQ_18, REF_6
 from measure import Errors, difference, errors
 from page import Claim, Section, joints, listed, show, table
@@ -161,7 +161,7 @@ def _friction(recorded: Recorded, whole: lieid.Fit) -> tuple[str, Claim, Figure]
         friction_curve(whole, part, recorded.joint, processing=CUTOFF)
         for part in (alone.cut(None, middle), alone.cut(middle, None))
     )
-    fits = {model: fit_friction(first, model) for model in MODELS}
+    fits = {model: fit_friction(first, EFFECTS[model]) for model in MODELS}
     residuals = {model: prediction_errors(fit, second) for model, fit in fits.items()}
     found = {model: float(np.sqrt(np.mean(e**2))) for model, e in residuals.items()}
     rows: list[list[str | float]] = [

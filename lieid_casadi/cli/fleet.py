@@ -6,7 +6,6 @@ import argparse
 import json
 import logging
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta

@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     @ROBOT
     recordings REC …: input  recordings in which the joint moves in both directions
     --joint J: int required  number of the joint, from 1
-    --effects A,B,…  friction model: effects, or the name of a model such as paper; default:
+    --effects A,B,…  friction model: effects of speed and load; default:
         coulomb,viscous,stribeck, and load_friction where the load varies
     --fit FIT: input  fit of the whole arm, whose rigid torque is used
     --load {model,measured}  source of the load torque; default: model

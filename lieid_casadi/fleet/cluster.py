@@ -107,7 +107,7 @@ def run_arm_nights(nights: Sequence[ArmNight], fits: Mapping[str, bytes], expect
     for night in nights:
         try:
             result = run_arm_night(night, fits[night.fit_sha256])
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001
             result = NightResult("failed", f"{type(error).__name__}: {reason_of(error)}")
         if result.version.split(".")[:2] != expected.split(".")[:2]:
             reason = f"worker with version {result.version}; expected {expected} as on the client"

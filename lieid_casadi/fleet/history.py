@@ -232,7 +232,7 @@ class History(AbstractContextManager["History"]):
     def add(self, batch: Batch) -> None:
         """Add finished runs with all their rows in one transaction; none is repeated."""
         with self.transaction():
-            for table in (*ROWS, "repeats", "runs"):  # runs last: they tell what is new
+            for table in (*ROWS, "repeats", "runs"):  # runs last: the others join them
                 if table in batch.tables:
                     self.connection.register("part", batch.tables[table])
                     new = "" if table == "repeats" else "ANTI JOIN runs USING (run_id)"

@@ -15,7 +15,6 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.effects import Effect, Placement
-from lieid_casadi.effects.friction_models import FRICTION_MODELS
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     BoundWarning,
@@ -238,9 +237,8 @@ def fit_friction(
     many starting points; the linear coefficients follow for each of them by bounded linear least
     squares (variable projection).
 
-    ``effects``: name of a friction model (`FRICTION_MODELS`), or effects of speed and load such as
-    ``"coulomb,viscous,load_friction"``, without joint or with that of the curve; by default
-    Coulomb, viscous and Stribeck friction, and load friction where the load varies.
+    ``effects``: effects of speed and load, such as ``"coulomb,viscous,load_friction"``, without
+    joint or with that of the curve; by default Coulomb, viscous and Stribeck friction, and load friction where the load varies.
     Raises `EffectError`: an effect is unknown, acts on or from another joint, or depends on more
     than speed and load.
     """
@@ -279,9 +277,7 @@ def _placements(
     if effects is None:
         effects = f"{DEFAULT},load_friction" if curve.load_varies else DEFAULT
     if isinstance(effects, str):
-        known = FRICTION_MODELS.get(effects.strip())
-        named = known.effects if known is not None else effects.split(",")
-        effects = [name for name in named if name.strip()]
+        effects = [name for name in effects.split(",") if name.strip()]
     n, joint = curve.robot.n, curve.joint
     placed: list[Placement] = []
     for spec in effects:

@@ -49,9 +49,12 @@ def test_given_effects_and_a_fit_of_the_arm(run, tmp_path):
     assert content["curve"]["load_source"] == "model"
 
 
-def test_a_model_by_its_name(run, tmp_path):
-    out = tmp_path / "f.json"
-    assert lieid_friction(run, "--joint", 1, "--effects", "paper", "--json", out) == 0
+def test_the_papers_model(run, tmp_path):
+    out, effects = (
+        tmp_path / "f.json",
+        "viscous,viscous_polynomial,stribeck/two_width,load_friction/paper",
+    )
+    assert lieid_friction(run, "--joint", 1, "--effects", effects, "--json", out) == 0
     assert len(json.loads(out.read_text())["fit"]["parameters"]) == 10
 
 
@@ -61,7 +64,7 @@ def test_a_model_by_its_name(run, tmp_path):
         (["--joint", "3"], "--joint 3: two_link has joints 1 to 2"),
         (["--joint", "2"], "joint 2 never moves"),
         (["--joint", "1", "--effects", "coulom"], "unknown effect 'coulom'"),
-        (["--joint", "1", "--effects", "gao2017"], "is not friction of speed and load"),
+        (["--joint", "1", "--effects", "warm_up"], "is not friction of speed and load"),
         (["--joint", "one"], "invalid int value"),
         ([], "--joint"),
     ],

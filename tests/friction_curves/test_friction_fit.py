@@ -83,7 +83,7 @@ def test_linear_models_are_weighted_least_squares(curve):
 
 
 def test_the_papers_model_fits_equally_with_more_parameters(curve, fit):
-    paper = fit_friction(curve, "paper")
+    paper = fit_friction(curve, "viscous,viscous_polynomial,stribeck/two_width,load_friction/paper")
     assert len(paper.parameters) == 10
     assert paper.rms < 1.05 * fit.rms
 
@@ -140,7 +140,7 @@ def test_extreme_friction_below_the_slowest_run_is_reported(curve):
     [
         ("coulomb:2", "coulomb:2 does not act on joint 1"),
         ("coulom", "unknown effect"),
-        ("gao2017", "is not friction of speed and load"),
+        ("warm_up", "is not friction of speed and load"),
         ("transmission_coupling", "couples two joints"),
         ("", "no effects given"),
     ],
