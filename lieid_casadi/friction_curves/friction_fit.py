@@ -238,7 +238,8 @@ def fit_friction(
     squares (variable projection).
 
     ``effects``: effects of speed and load, such as ``"coulomb,viscous,load_friction"``, without
-    joint or with that of the curve; by default Coulomb, viscous and Stribeck friction, and load friction where the load varies.
+    joint or with that of the curve; by default Coulomb, viscous and Stribeck friction, and load
+    friction where the load varies.
     Raises `EffectError`: an effect is unknown, acts on or from another joint, or depends on more
     than speed and load.
     """
