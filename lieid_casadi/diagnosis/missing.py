@@ -18,7 +18,7 @@ from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round, search
-from lieid_casadi.diagnosis.smooth_functions import formula_of
+from lieid_casadi.diagnosis.smooth_functions import followed_signals, formula_of
 from lieid_casadi.diagnosis.step import Difference, Step
 from lieid_casadi.diagnosis.steps import (
     Accepted,
@@ -29,6 +29,7 @@ from lieid_casadi.diagnosis.steps import (
     steps_of,
     unexplained_parts,
 )
+from lieid_casadi.effects import Placement
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     SameRecordingWarning,
@@ -43,6 +44,7 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
 
 Report = Callable[[str, float], None]
+CONTAINED = 0.1  # part of an effect's torque that a smooth function can take over
 ROUNDS = 2  # of search and fit; the second one adds what the first fit hid
 
 
@@ -102,8 +104,13 @@ class MissingEffects:
         after = compare(fit, self.tests) if self.tests else None
         fitted = compare(fit, self.train)
         torque = np.array([np.sqrt(np.mean(t**2)) if len(t) else np.nan for t in rows.torque])
-        steps = self._with_formulas(steps_of(final, accepted, torque, after), final, rows)
-        parts = unexplained_parts(fitted, after, self.rejected, options)
+        last_rows = Rows.of(
+            fit, self.segments, known=self.known, before=rows, with_candidates=False
+        )
+        steps = _with_formulas(steps_of(final, accepted, torque, after), final, last_rows)
+        parts = unexplained_parts(
+            fitted, after, self.rejected, lambda j: followed_signals(last_rows, j), options
+        )
         shown = after or fitted
         verdict = "effect_found" if steps else "sufficient"
         if parts or self.differing:
@@ -143,23 +150,6 @@ class MissingEffects:
             seed=seed,
         )
 
-    def _with_formulas(
-        self, steps: tuple[Step, ...], final: FinalModel, before: Rows
-    ) -> tuple[Step, ...]:
-        """Return the steps with formulas that are close to their smooth functions."""
-        if all(step.status != "shape" for step in steps):
-            return steps
-        fit, segments = final.fit, self.segments
-        rows = Rows.of(fit, segments, known=self.known, before=before, with_candidates=False)
-        found = []
-        for step in steps:
-            if step.status == "shape":
-                (placement,) = place(step.label, fit.model.n)
-                own = final.columns_of([placement])
-                step = replace(step, formula=formula_of(rows, placement, own, fit.values[own]))
-            found.append(step)
-        return tuple(found)
-
     def _searched(self, rows: Rows) -> tuple[Fit, list[Accepted], Round]:
         """Return the fit with all effects that are added, these effects, and the last round."""
         accepted, rounds = list[Accepted](), 0
@@ -188,8 +178,8 @@ class MissingEffects:
         """Return the effects whose coefficients are determined and whose stated fall is enough.
 
         The others leave one at a time, since either of two that resemble each other may be needed.
-        What differs between the recordings is part of every error; beside it, and beside a smooth
-        function of its joint, which may contain it, an effect must lower the error at all.
+        What differs between the recordings is part of every error; beside it an effect must lower
+        the error at all.
         """
         for found in reversed(accepted):
             if not found.determined(fit, self.options.gain_deviations):
@@ -198,17 +188,9 @@ class MissingEffects:
         model, left = FinalModel.of(fit, self.segments, None), list(accepted)
         while left:
             gone = [a.placement for a in accepted if a not in left]
-            complete = model.cross_validated(model.columns_of(gone))
-            smooth = {a.joint for a in left if a.candidate.name == SMOOTH}
-            falls, missed = [], []
-            for found in left:
-                without = model.cross_validated(model.columns_of([*gone, found.placement]))
-                falls.append(float(1.0 - complete[found.joint] / without[found.joint]))
-                contained = found.candidate.name != SMOOTH and found.joint in smooth
-                least = 0.0 if self.apart or contained else self.options.worth
-                missed.append(least - falls[-1])
-            worst = int(np.argmax(missed))
-            if missed[worst] <= 0.0:
+            falls = [_fall(model, found, left, gone) for found in left]
+            worst = int(np.argmin(falls))
+            if falls[worst] >= (0.0 if self.apart else self.options.worth):
                 break
             self.rejected[left.pop(worst).placement.label] = (
                 "in the final model it lowers the cross-validated error by only "
@@ -308,6 +290,40 @@ class MissingEffects:
 def _stage(accepted: Sequence[Accepted]) -> str:
     labels = ", ".join(a.placement.label for a in accepted)
     return f"search beside {labels}" if labels else "search"
+
+
+def _fall(
+    model: FinalModel, found: Accepted, left: Sequence[Accepted], gone: Sequence[Placement]
+) -> float:
+    """Return how much an effect lowers the cross-validated error of its joint, relative to it.
+
+    A smooth function of the joint that contains a part of the effect is left out: beside one,
+    a piece of any other form would be worth its place.
+    """
+    added = [*gone, *(a.placement for a in left)]
+    smooth = [a for a in left if a.candidate.name == SMOOTH and a.joint == found.joint]
+    contain = [
+        a.placement
+        for a in smooth
+        if found.candidate.name != SMOOTH
+        and model.contained(found.placement, a.placement, added) > CONTAINED
+    ]
+    complete = model.cross_validated(model.columns_of([*gone, *contain]))
+    without = model.cross_validated(model.columns_of([*gone, *contain, found.placement]))
+    return float(1.0 - complete[found.joint] / without[found.joint])
+
+
+def _with_formulas(steps: tuple[Step, ...], final: FinalModel, rows: Rows) -> tuple[Step, ...]:
+    """Return the steps with formulas that are close to their smooth functions."""
+    found = []
+    for step in steps:
+        if step.status == "shape":
+            (placement,) = place(step.label, final.fit.model.n)
+            own = final.columns_of([placement])
+            text = formula_of(rows, placement, own, final.fit.values[own])
+            step = replace(step, formula=text)
+        found.append(step)
+    return tuple(found)
 
 
 def _errors(fit: Fit, compared: Comparison | None) -> dict[str, Array | None]:

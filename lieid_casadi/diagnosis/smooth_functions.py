@@ -28,6 +28,8 @@ RIDGE = 1e-6  # of a column's square
 FIELDS = {"q": "q", "dq": "dq", "ddq": "ddq", "load": "load", "temp": "temperature"}
 OTHERS = ("q", "dq")  # signals of other joints that are tried
 DEPENDENT = 1e-9  # of the largest singular value
+LEAST_FOLLOWED = 0.5  # of a residual's square that signals must explain to be stated
+WAVES = 6  # half periods of the fastest slow function of time, in a segment
 MOST_TERMS = 3  # of a formula
 CLOSE, LEAST_TERM = 0.97, 0.02  # part of a variance that is enough, and that a term must add
 LEAST_EXPLAINED = 0.8  # of the variance, by a formula that is stated
@@ -60,6 +62,47 @@ def smooth_candidates(
                 wanted = [_candidate(rows, signals[k], joint) for k in best]
                 found |= {candidate.label: candidate for candidate in wanted}
     return list(found.values())
+
+
+def followed_signals(rows: Rows, joint: int) -> tuple[str, ...]:
+    """Return the one or two signals that a joint's residual follows most; ``t`` is time."""
+    basis, _ = np.linalg.qr(rows.model[joint])
+    residual = rows.residual[joint][:, None]
+    target = residual - basis @ (basis.T @ residual)
+    target *= np.sqrt(len(target)) / max(float(np.linalg.norm(target)), 1e-300)
+    polynomials = dict(_polynomials(rows, joint))
+    known: dict[tuple[str, ...], Array] = {(a,): x for a, x in polynomials.items()}
+    known["t",] = _slow(rows, joint)
+    known |= {
+        (a, b): _products([polynomials[a], polynomials[b]]) for a, b in combinations(polynomials, 2)
+    }
+    best: tuple[str, ...] = ()
+    most = 0.0
+    for names, columns in known.items():
+        gain = float(_gains(columns, target, basis)[0])
+        score = gain - columns.shape[1] * np.log(max(len(target), 2))
+        if score > most and gain > LEAST_FOLLOWED * len(target):
+            best, most = names, score
+    return tuple(named_column(name, joint) for name in best)
+
+
+def named_column(signal: str, joint: int) -> str:
+    """Return a signal as columns are named, ``dq3``: one without a number is the joint's own."""
+    return signal if signal == "t" or signal[-1].isdigit() else f"{signal}{joint + 1}"
+
+
+def _slow(rows: Rows, joint: int) -> Array:
+    """Return slow functions of time (R_j, k) in each segment."""
+    own = rows.runs[joint].all
+    segment, times = rows.segment_of[own], rows.times[own]
+    columns = []
+    for k in np.unique(segment):
+        here = segment == k
+        place = times[here] - times[here].min()
+        waves = np.cos(np.pi * np.outer(place / max(place.max(), 1e-9), np.arange(1, WAVES + 1)))
+        columns.append(np.zeros((len(own), WAVES)))
+        columns[-1][here] = waves
+    return np.hstack(columns)
 
 
 def _products(parts: Sequence[Array]) -> Array:

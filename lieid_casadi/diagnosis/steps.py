@@ -7,7 +7,7 @@ columns, so that leaving a step out costs nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from lieid_casadi.diagnosis.evidence import Slot, solved
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import rivals_of
 from lieid_casadi.diagnosis.search import SMOOTH, Round
+from lieid_casadi.diagnosis.smooth_functions import named_column
 from lieid_casadi.diagnosis.step import Evidence, Fall, Rival, Status, Step, Unexplained
 from lieid_casadi.effects import Placement
 from lieid_casadi.errors import LateFrictionWarning
@@ -199,13 +200,14 @@ def signals_of(placement: Placement) -> tuple[str, ...]:
     if effect.name != SMOOTH:
         return ()
     parts = effect.option.split(".")
-    return tuple(p if p[-1].isdigit() else f"{p}{placement.joint + 1}" for p in parts)
+    return tuple(named_column(part, placement.joint) for part in parts)
 
 
 def unexplained_parts(
     fitted: Comparison,
     tested: Comparison | None,
     rejected: Mapping[str, str],
+    follows: Callable[[int], tuple[str, ...]],
     options: DiagnosisOptions,
 ) -> tuple[Unexplained, ...]:
     """Return the joints whose error in motion is above the noise floor of the same recording.
@@ -216,6 +218,8 @@ def unexplained_parts(
         Of the final fit with the training recordings, and with the test if there is one.
     rejected : mapping
         Candidates that were selected and not added, and why.
+    follows : callable
+        The signals that the residual of a joint follows; see `followed_signals`.
     options : DiagnosisOptions
     """
     ratio = _over_floor(fitted.rms_moving, fitted.noise_floor)
@@ -230,10 +234,11 @@ def unexplained_parts(
     for j in np.argsort(-ratio):
         if ratio[j] > options.largest_error:
             own = tuple((k, why) for k, why in rejected.items() if _acts_on(k, int(j)))
-            depends = next((_signals(k, int(j)) for k, _ in own if k.startswith(SMOOTH)), ())
             fraction = float(1.0 - ratio[j] ** -2)
             found.append(
-                Unexplained(int(j), fraction, float(ratio[j]), depends, own, recordings=where[j])
+                Unexplained(
+                    int(j), fraction, float(ratio[j]), follows(int(j)), own, recordings=where[j]
+                )
             )
     return tuple(found)
 
@@ -297,12 +302,6 @@ def _acts_on(label: str, joint: int) -> bool:
     return where == str(joint + 1)
 
 
-def _signals(label: str, joint: int) -> tuple[str, ...]:
-    """Return the signals of ``smooth/dq.q5:4`` as columns are named."""
-    parts = label.partition(":")[0].partition("/")[2].split(".")
-    return tuple(p if p[-1].isdigit() else f"{p}{joint + 1}" for p in parts)
-
-
 def _value(errors: Array | None, joint: int) -> float:
     return float("nan") if errors is None else float(errors[joint])
 
@@ -363,6 +362,19 @@ class FinalModel:
                 found.append(k)
         return np.array(found, dtype=np.intp)
 
+    def contained(self, effect: Placement, smooth: Placement, added: Sequence[Placement]) -> float:
+        """Return the part of an effect's torque that a smooth function can take over.
+
+        That is of its square outside the span of the model without the effects ``added``.
+        """
+        gram = np.einsum("j,jab->ab", 1.0 / self.fit.noise**2, np.array(self.train))
+        own, more = self.columns_of([effect]), self.columns_of([smooth])
+        model = np.setdiff1d(np.arange(len(self.fit.values)), self.columns_of(added))
+        torque = np.zeros(len(gram))
+        torque[own] = self.fit.values[own]
+        before, after = (_outside(gram, torque, x) for x in (model, np.append(model, more)))
+        return 1.0 - after / max(before, 1e-300)
+
     def errors(self, without: Indices) -> dict[str, Array | None]:
         """Return the errors in motion (n,) without some columns, N·m: train, cv and test."""
         count = len(self.fit.values)
@@ -388,6 +400,13 @@ class FinalModel:
             return found
 
         return cross_validated_rms(self.folds, estimate)
+
+
+def _outside(gram: Array, combined: Array, given: Indices) -> float:
+    """Return the square of combined columns outside the span of others, from inner products."""
+    products = gram[given] @ combined
+    inside = solved(gram[np.ix_(given, given)], products)
+    return float(combined @ gram @ combined - products @ inside)
 
 
 def _products(rows: Rows) -> tuple[tuple[Array, ...], Array]:
