@@ -76,12 +76,14 @@ def followed_signals(rows: Rows, joint: int) -> tuple[str, ...]:
     known |= {
         (a, b): _products([polynomials[a], polynomials[b]]) for a, b in combinations(polynomials, 2)
     }
+    # slow errors have fewer independent rows than samples: about one in a second
+    seconds = max(len(np.unique(rows.times[rows.runs[joint].all] // 1.0)), 2)
     best: tuple[str, ...] = ()
     most = 0.0
     for names, columns in known.items():
-        gain = float(_gains(columns, target, basis)[0])
-        score = gain - columns.shape[1] * np.log(max(len(target), 2))
-        if score > most and gain > LEAST_FOLLOWED * len(target):
+        part = float(_gains(columns, target, basis)[0]) / len(target)
+        score = -seconds * np.log(max(1.0 - part, 1e-6)) - columns.shape[1] * np.log(seconds)
+        if score > most and part > LEAST_FOLLOWED:
             best, most = names, score
     return tuple(named_column(name, joint) for name in best)
 

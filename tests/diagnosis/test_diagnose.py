@@ -12,6 +12,8 @@ from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import Rival
 from lieid_casadi.diagnosis.result import alias_sentence
+from lieid_casadi.diagnosis.rows import Rows
+from lieid_casadi.diagnosis.smooth_functions import followed_signals
 from lieid_casadi.effects import make
 from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import (
@@ -20,6 +22,7 @@ from lieid_casadi.errors import (
     SameRecordingWarning,
     UnidentifiableWarning,
 )
+from lieid_casadi.recording import process
 
 ROBOT = lieid.robots.two_link()
 MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
@@ -186,6 +189,32 @@ def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
         processing=diagnosis.fit.processing,
     )
     np.testing.assert_array_equal(again.values, diagnosis.fit.values)
+
+
+def test_a_ripple_that_is_a_piece_of_a_smooth_function_is_not_a_step():
+    """A bump of torque over the angle is no ripple, though a ripple makes its spline finer."""
+    bump = plant.ForeignTorque(
+        1, function=lambda s: 1.5 / (1.0 + ((s.q[..., 1] + 0.4) / 0.15) ** 2)
+    )
+    arm = arm_with().with_effects(bump)
+    diagnosis = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2))
+    assert [step.label for step in diagnosis.steps] == ["smooth/q:2"]
+
+
+@pytest.mark.parametrize(
+    ("torque", "signals"),
+    [
+        (lambda s: 2.0 * np.sin(0.8 * s.t), ("t",)),
+        (lambda s: 2.0 * np.sin(2.0 * s.q[..., 1]), ("q2",)),
+        (lambda s: 2.0 * s.dq[..., 0] * s.dq[..., 1], ("dq1", "dq2")),
+    ],
+)
+def test_the_signals_that_an_error_follows_are_stated(torque, signals):
+    recording = run(arm_with().with_effects(plant.ForeignTorque(0, function=torque)), 1)
+    fit = lieid.identify(MODEL, recording)
+    segments = process([recording], fit.processing)
+    rows = Rows.of(fit, segments, with_candidates=False)
+    assert followed_signals(rows, 0) == signals
 
 
 def test_json_has_the_stated_keys():
