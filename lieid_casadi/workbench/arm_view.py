@@ -101,7 +101,7 @@ class ArmView(View):
             return
         self._seen, self._frame = motion, -1
         x, y, z = motion.centre.tolist()
-        far = 1.5 * max(motion.radius, 0.2)
+        far = 1.3 * max(motion.radius, 0.2)
         self._scene.move_camera(
             x + 0.5 * far, y - 0.75 * far, z + 0.45 * far, x, y, z, duration=0.0
         )

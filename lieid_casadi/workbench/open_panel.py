@@ -6,7 +6,7 @@ import contextlib
 import gzip
 import itertools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path, PurePath
 
@@ -14,7 +14,9 @@ import numpy as np
 from nicegui import ui
 from nicegui.events import UploadEventArguments
 
+from lieid_casadi.recording.conversion import ANGLE_UNITS
 from lieid_casadi.recording.readers.columns import COMMANDED, OTHERS, TIMES, WORDS
+from lieid_casadi.recording.sample_timing import TIME_UNITS
 from lieid_casadi.workbench.elements import View, button, icon_button, named, text
 from lieid_casadi.workbench.session import (
     RecordingInput,
@@ -30,7 +32,7 @@ LARGEST_UPLOAD = 4 << 30  # bytes
 OPTIONS = {
     "tip": "last link (URDF)",
     "lock": "joints to lock (URDF)",
-    "torque-constants": "torque constants K1,…,Kn [N·m/A]",
+    "torque-constants": "torque constants [N·m/A]",
     "units": "units: deg, ms; empty: SI",
     "stiffness": "stiffness K1,…,Kn [N·m/rad], or unknown",
     "damping": "damping D1,…,Dn [N·m·s/rad]",
@@ -48,6 +50,7 @@ SIGNALS = {
     "i": "motor currents [A]",
     "qcmd": "commanded positions [rad]",
 }
+DEGREES = {"deg", "degree", "degrees"}  # in names of columns
 IN_SIGHT = 4  # of these options; the others are folded
 MOST_VALUES = 8  # of a signal in the preview
 HEADER_LINES, HEADER_LENGTH = 1000, 1 << 16
@@ -122,7 +125,10 @@ class OpenPanel(View):
             named(self._path, "open-recording").on("keydown.enter", self._add_path)
             button("Add", "add-recording", self._add_path)
             columns = _ColumnsDialog(self._set_columns)
-            button("Columns", "map-columns", lambda: columns.show(self._recordings))
+            units = self._options["units"]
+            button(
+                "Columns", "map-columns", lambda: columns.show(self._recordings, units.value or "")
+            )
         upload = ui.upload(
             multiple=True, auto_upload=True, max_file_size=LARGEST_UPLOAD,
             label="or drop files of the robot and of recordings here", on_upload=self._uploaded,
@@ -177,8 +183,8 @@ class OpenPanel(View):
         self._recordings.append(RecordingInput(path, role))
         self._list_recordings()
 
-    def _set_columns(self, stated: str) -> None:
-        self._options["columns"].value = stated
+    def _set_columns(self, columns: str, units: str) -> None:
+        self._options["columns"].value, self._options["units"].value = columns, units
 
     def _set_role(self, k: int, role: Role) -> None:
         self._recordings[k] = replace(self._recordings[k], role=role)
@@ -235,26 +241,33 @@ def _option_field(name: str, label: str) -> ui.input:
 
 
 class _ColumnsDialog:
-    """Assigns the columns of the first recording to signals; ``done`` is called with the option."""
+    """Assigns the columns of the first recording to signals, and states their units.
 
-    def __init__(self, done: Callable[[str], None]) -> None:
+    ``done`` is called with the values of the options ``--columns`` and ``--units``.
+    """
+
+    def __init__(self, done: Callable[[str, str], None]) -> None:
         self._values: dict[str, list[str]] = {}
         with ui.dialog().props("transition-duration=0") as self._dialog, ui.card():
             self._title = ui.label("").classes("panel-title")
-            self._chosen = {
-                name: named(ui.select([], label=meaning, clearable=True), f"column-{name}")
-                .props("dense options-dense")
-                .classes("column-choice")
-                .on_value_change(self._preview)
-                for name, meaning in SIGNALS.items()
-            }
+            with ui.element("div").classes("field-grid"):
+                self._chosen = {
+                    name: self._select(f"column-{name}", meaning).props("clearable")
+                    for name, meaning in SIGNALS.items()
+                }
+                self._angle = self._select("unit-angle", "unit of angles", ANGLE_UNITS)
+                self._time = self._select("unit-time", "unit of time", TIME_UNITS)
             self._text = named(ui.label("").classes("code"), "columns-text")
             with ui.row():
                 button("Use", "use-columns", lambda: self._use(done), "unelevated")
                 button("Close", "close-columns", self._dialog.close)
 
-    def show(self, recordings: list[RecordingInput]) -> None:
-        """Show the columns of the first recording, and propose their meaning."""
+    def _select(self, test_id: str, label: str, options: Iterable[str] = ()) -> ui.select:
+        made = ui.select(list(options), label=label).props("dense options-dense")
+        return named(made, test_id).classes("column-choice").on_value_change(self._preview)
+
+    def show(self, recordings: list[RecordingInput], units: str) -> None:
+        """Show the columns of the first recording, and propose their meaning and units."""
         path = recordings[0].path.rpartition("@")[0] or recordings[0].path if recordings else ""
         self._values = first_values(path)
         patterns = list(self._values)
@@ -264,25 +277,44 @@ class _ColumnsDialog:
         proposed = proposed_columns(patterns)
         for signal, choice in self._chosen.items():
             choice.set_options(patterns, value=proposed.get(signal))
+        stated = units.split(",") if units else proposed_units(proposed, self._values)
+        self._angle.value = next((u for u in ANGLE_UNITS if u in stated), "rad")
+        self._time.value = next((u for u in TIME_UNITS if u in stated), "s")
         self._preview()
         self._dialog.open()
 
-    def _stated(self) -> str:
-        chosen = {name: choice.value for name, choice in self._chosen.items()}
-        return ",".join(f"{name}={value}" for name, value in chosen.items() if value)
+    def _stated(self) -> tuple[str, str]:
+        columns = [
+            f"{name}={choice.value}" for name, choice in self._chosen.items() if choice.value
+        ]
+        units = [u for u in (self._angle.value, self._time.value) if u not in ("rad", "s")]
+        return ",".join(columns), ",".join(units)
 
     def _preview(self) -> None:
-        shown = [f"--columns {self._stated()}", "", "first row"]
+        """Show the options, and the first row in SI units."""
+        columns, units = self._stated()
+        shown = [f"--columns {columns}{' --units ' * bool(units)}{units}", "", "first row"]
+        factors = dict.fromkeys(("q", "dq", "qcmd"), ANGLE_UNITS.get(self._angle.value, 1.0))
+        factors["t"] = TIME_UNITS.get(self._time.value, 1.0)
         for name, choice in self._chosen.items():
+            values = self._values.get(choice.value or "", [])[:MOST_VALUES]
             if choice.value:
-                values = self._values.get(choice.value, [])
-                more = " …" if len(values) > MOST_VALUES else ""
-                shown.append(f"{name}: {'  '.join(values[:MOST_VALUES])}{more}")
+                more = " …" if len(self._values.get(choice.value, [])) > MOST_VALUES else ""
+                converted = (_converted(value, factors.get(name, 1.0)) for value in values)
+                unit = SIGNALS[name].rpartition("[")[2].rstrip("]")
+                shown.append(f"{name}: {'  '.join(converted)}{more} {unit}")
         self._text.text = "\n".join(shown)
 
-    def _use(self, done: Callable[[str], None]) -> None:
-        done(self._stated())
+    def _use(self, done: Callable[[str, str], None]) -> None:
+        done(*self._stated())
         self._dialog.close()
+
+
+def _converted(text: str, factor: float) -> str:
+    """Return a number of a file in SI units; text that is none as it is."""
+    with contextlib.suppress(ValueError):
+        return text if factor == 1.0 else f"{factor * float(text):.6g}"
+    return text
 
 
 def first_values(path: str) -> dict[str, list[str]]:
@@ -322,9 +354,9 @@ def proposed_columns(patterns: list[str]) -> dict[str, str]:
     """
     found: dict[str, str] = {}
     for pattern in patterns:
-        words = set(re.findall("[a-z]+", pattern.lower()))
+        words = _words(pattern) - DEGREES
         prefixes = [prefix for prefix, known in WORDS.items() if words & known]
-        if pattern.lower() in TIMES:
+        if "_".join(w for w in pattern.lower().split("_") if w not in TIME_UNITS) in TIMES:
             found.setdefault("t", pattern)
         elif len(prefixes) == 1 and not words & OTHERS:
             name = prefixes[0]
@@ -333,3 +365,23 @@ def proposed_columns(patterns: list[str]) -> dict[str, str]:
             if name in SIGNALS:
                 found.setdefault(name, pattern)
     return found
+
+
+def proposed_units(columns: dict[str, str], values: dict[str, list[str]]) -> list[str]:
+    """Return units other than SI that names of columns state, or angles beyond two turns.
+
+    Examples
+    --------
+    >>> proposed_units({"t": "time_ms", "q": "pos_*"}, {"pos_*": ["-90", "10"]})
+    ['deg', 'ms']
+    """
+    angles = columns.get("q", "")
+    large = False
+    with contextlib.suppress(ValueError):
+        large = any(abs(float(x)) > 4.0 * np.pi for x in values.get(angles, ()))
+    found = ["deg"] if _words(angles) & DEGREES or large else []
+    return found + [unit for unit in TIME_UNITS if unit in _words(columns.get("t", "")) - {"s"}]
+
+
+def _words(pattern: str) -> set[str]:
+    return set(re.findall("[a-z]+", pattern.lower()))

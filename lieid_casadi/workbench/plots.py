@@ -514,7 +514,7 @@ class CorrelationPlot(SeriesView):
 
 def _correlation_options(found: list[Correlation]) -> dict[str, Any]:
     largest = max((float(np.abs(c.value).max()) for c in found), default=1.0)
-    limit = max(math.ceil(10.0 * largest), 1) / 10.0
+    limit = max(math.ceil(5.0 * largest), 1) / 5.0
     series: list[dict[str, Any]] = []
     for k, each in enumerate(found):
         outside = np.abs(each.value) > each.band

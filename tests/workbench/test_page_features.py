@@ -164,11 +164,22 @@ def test_files_are_opened_on_the_page_and_the_arm_replays(start, browse, two_lin
     assert page.script_errors() == []
 
 
+def choose(page, test_id, item):
+    """Choose an item of a select, which the text of the dialog then contains."""
+    items = f"//div[contains(@class, 'q-menu')]//*[text()='{item}']"
+    page.click(test_id, done=lambda: page.driver.find_elements("xpath", items))
+    page.repeat(
+        lambda: page.driver.find_element("xpath", items).click(),
+        lambda: item in page.text("columns-text"),
+        item,
+    )
+
+
 def test_columns_are_assigned_on_the_page(start, browse, two_link_files, tmp_path):
     for name, file in zip(("a.csv", "b.csv"), two_link_files, strict=True):
         r = lieid.Recording.load(file)
-        rows = np.column_stack([r.t, r.q, r.dq, r.tau])
-        names = "stamp,my_angle1,my_angle2,my_vel1,my_vel2,load_cell1,load_cell2"
+        rows = np.column_stack([1e3 * r.t, np.degrees(r.q), np.degrees(r.dq), r.tau])
+        names = "stamp_ms,my_angle1,my_angle2,my_vel1,my_vel2,load_cell1,load_cell2"
         np.savetxt(tmp_path / name, rows, "%.9g", ",", header=names, comments="")
     server = start("panda")
     page = browse(server.url)
@@ -179,14 +190,12 @@ def test_columns_are_assigned_on_the_page(start, browse, two_link_files, tmp_pat
         page.element("open-recording").send_keys(str(tmp_path / name))
         page.click("add-recording", done=lambda k=k: page.elements(f"role-{k}"))
     page.click("map-columns", done=lambda: page.shown("columns-text"))
-    assert "--columns t=stamp,q=my_angle*,dq=my_vel*" in page.text("columns-text")
-    items = "//div[contains(@class, 'q-menu')]//*[text()='load_cell*']"
-    page.click("column-tau", done=lambda: page.driver.find_elements("xpath", items))
-    page.repeat(
-        lambda: page.driver.find_element("xpath", items).click(),
-        lambda: "tau=load_cell*" in page.text("columns-text"),
-        "the torque",
-    )
+    assert "--columns t=stamp_ms,q=my_angle*,dq=my_vel*" in page.text("columns-text")
+    choose(page, "column-tau", "load_cell*")
+    assert "tau=load_cell*" in page.text("columns-text")
+    choose(page, "unit-angle", "deg")
+    assert "--units deg,ms" in page.text("columns-text")
+    page.picture("columns")
     page.click("use-columns", done=lambda: not page.shown("columns-text"))
     page.click("open")
     opened(page)
