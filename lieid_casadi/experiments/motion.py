@@ -35,7 +35,7 @@ PROBE_SIZE = 0.5  # of the largest motion within the limits
 HARMONICS = 5
 EXCITATION_STARTS = 2
 STARTS, EVALUATIONS = 60, 400  # of the search for a separating motion
-PARTS = (1, 2)  # of the time of a motion that are compared: a long one and short ones
+PARTS = (1, 2, 3)  # of the time of a motion that are compared: a long one and short ones
 LEAST_SECONDS = 5.0  # of a motion beside the probe
 WORTH = 0.4  # of an excitation: ln of the factor by which it lowers standard deviations
 LEAST_INFORMATION = 1e-9  # relative to that of an excitation
@@ -185,7 +185,7 @@ class MotionDesign:
     ) -> tuple[MotionSamples, str, float]:
         """Return the excitation that is expected to show most per second, and its `precision_gain`.
 
-        The gain is that over the recordings, second by second. A long motion and a short one are
+        The gain is that over the recordings, second by second. A long motion and short ones are
         compared; without a recording it is the long one. Recordings of little motion cannot bound
         the torque of larger motion: ``found`` is not used for the limits.
         """

@@ -7,11 +7,13 @@ MuJoCo's own ``mujoco.sysid``; both models, and the nominal one, then follow new
 are the differences from the altered arm at the ends of 1 s windows that start in its state, the
 time, and the lines of user code.
 
-    python tests/benchmarks/so101.py [--seconds 40] [--rate 50] [--step 0.002] [--hold-only]
+    python tests/benchmarks/so101.py [--case backlash] [--seconds 30] [--rate 50] [--step 0.002]
 
-``--hold-only``: no backlash, and commands that are late by their hold alone. ``--step``: of both
-simulations. MuJoCo's integration adds half a step × damping to the inertia, 3 % of a joint's at
-2 ms; it is in what was recorded, and the exported model makes up for it.
+Cases: ``hold``, commands that are late by their hold alone; ``delay``, by 40 ms more;
+``saturation``, torques limited to half of what the recording without a limit reaches; ``backlash``,
+0.8° in every joint and the delay. ``--diagnose``: also what `diagnose` makes of the default model.
+``--step``: of both simulations. MuJoCo's integration adds half a step × damping to the inertia, 3 %
+of a joint's at 2 ms; it is in what was recorded, and the exported model makes up for it.
 """
 
 from __future__ import annotations
@@ -34,8 +36,14 @@ from exporters.c_arms import made_fit
 
 ROBOT = lieid.robots.so101().with_drives(lieid.servo_drive("sts3215"))
 N, STEP, RATE = ROBOT.n, 0.002, 50.0  # s, Hz of commands and recording
-PLAY = np.radians(0.8)
-DELAY = 0.04  # s
+#: Play of every joint, rad, delay of commands, s, and limit of torque relative to the largest one.
+CASES = {
+    "hold": (0.0, 0.0, np.inf),
+    "delay": (0.0, 0.04, np.inf),
+    "saturation": (0.0, 0.0, 0.5),
+    "backlash": (np.radians(0.8), 0.04, np.inf),
+}
+PLAY, DELAY, LIMIT = CASES["backlash"]
 COUNTS = 4096
 EFFECTS = "coulomb,viscous,offset,armature,command_delay"  # the default
 
@@ -89,6 +97,19 @@ def altered_model(seed: int = 0) -> mujoco.MjModel:
     return model
 
 
+def saturated(model: mujoco.MjModel, seconds: float) -> mujoco.MjModel:
+    """Return the arm with torques limited relative to the largest ones of the recording."""
+    if np.isfinite(LIMIT):
+        arm, path = Arm(model, DELAY), commands(1, seconds)
+        arm.set(path[0], np.zeros(N))
+        largest = np.zeros(N)
+        for k in range(len(path) - 1):
+            arm.run(path, k, 1)
+            largest = np.maximum(largest, np.abs(arm.data.actuator_force))
+        model.actuator_forcerange[:] = LIMIT * largest[:, None] * [-1.0, 1.0]
+    return model
+
+
 def commands(seed: int, seconds: float) -> np.ndarray:
     """Return commands (K, n) at the command rate: sums of harmonics within the limits."""
     random, t = np.random.default_rng(seed), np.arange(round(seconds * RATE)) / RATE
@@ -131,7 +152,7 @@ class Arm:
 
 def recorded(seed: int, seconds: float) -> tuple[lieid.Recording, np.ndarray]:
     """Return the altered arm's recording, and its motor velocities (K, n)."""
-    arm, path = Arm(altered_model(), DELAY), commands(seed, seconds)
+    arm, path = Arm(saturated(altered_model(), seconds), DELAY), commands(seed, seconds)
     arm.set(path[0], np.zeros(N))
     q = [arm.data.qpos[arm.motors].copy()]
     dq = [arm.data.qvel[arm.speeds].copy()]
@@ -156,11 +177,15 @@ def tracking(
     return np.sqrt(np.mean(np.array(ends) ** 2, axis=0))
 
 
-def with_lieid(train: lieid.Recording) -> tuple[mujoco.MjModel, np.ndarray]:
+def with_lieid(train: lieid.Recording, *, diagnosed: bool) -> tuple[mujoco.MjModel, np.ndarray]:
     """Return the model that lieid identifies and exports, and its delays beyond the hold."""
-    fit = lieid.identify(
-        lieid.Model(ROBOT, EFFECTS), train.with_drives(ROBOT.drives), method="feasible"
-    )
+    train, model = train.with_drives(ROBOT.drives), lieid.Model(ROBOT, EFFECTS)
+    if diagnosed:
+        found = lieid.diagnose(model, train, method="feasible")
+        print(f"found: {', '.join(f'{s.label} ({s.status})' for s in found.steps)}")
+        fit = found.fit
+    else:
+        fit = lieid.identify(model, train, method="feasible")
     model = mujoco.MjModel.from_xml_string(mjcf_text(fit, step=STEP)[0])
     delay = np.maximum(model.actuator_delay - 0.5 / RATE, 0.0)
     model.actuator_delay[:] = 0.0
@@ -225,29 +250,30 @@ def lines(function: object) -> int:
 
 
 def main() -> None:
-    global RATE, STEP, PLAY, DELAY
+    global RATE, STEP, PLAY, DELAY, LIMIT
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=40.0)
+    parser.add_argument("--case", choices=CASES, default="backlash")
+    parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--rate", type=float, default=RATE, help="Hz")
     parser.add_argument("--step", type=float, default=STEP, help="s")
-    parser.add_argument("--hold-only", action="store_true")
+    parser.add_argument("--diagnose", action="store_true")
     parser.add_argument("--no-sysid", action="store_true")
     args = parser.parse_args()
     RATE, STEP = args.rate, args.step
-    if args.hold_only:
-        PLAY = DELAY = 0.0
+    PLAY, DELAY, LIMIT = CASES[args.case]
     train, dq = recorded(1, args.seconds)
     test, test_dq = recorded(2, args.seconds)
-    rows = []
     nominal = mujoco.MjModel.from_xml_string(nominal_xml())
     nominal.opt.timestep = STEP
-    rows.append(("nominal", tracking(nominal, test, test_dq, 0.0), 0.0, 0))
-    started = time.time()
-    model, delay = with_lieid(train)
-    spent = time.time() - started
-    rows.append(("lieid", tracking(model, test, test_dq, delay), spent, lines(with_lieid)))
-    found = ", ".join(f"{1e3 * d:.1f}" for d in delay)
-    print(f"delays identified: {found} ms; true: {1e3 * DELAY:.1f} ms")
+    rows = [("nominal", tracking(nominal, test, test_dq, 0.0), 0.0, 0)]
+    for diagnosed in (False, True) if args.diagnose else (False,):
+        started = time.time()
+        model, delay = with_lieid(train, diagnosed=diagnosed)
+        spent = time.time() - started
+        error = tracking(model, test, test_dq, delay)
+        rows.append(("diagnosed" if diagnosed else "default", error, spent, lines(with_lieid)))
+        found = ", ".join(f"{1e3 * d:.1f}" for d in delay)
+        print(f"delays identified: {found} ms; true: {1e3 * DELAY:.1f} ms")
     if not args.no_sysid:
         started = time.time()
         model = with_sysid(train, dq)

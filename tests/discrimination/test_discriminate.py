@@ -165,15 +165,6 @@ def test_correlated_samples_count_less(fit):
     assert rate[1] == pytest.approx(2.0 * fit.processing.cutoff)
 
 
-def test_larger_effects_need_a_shorter_motion(fit):
-    sizes = {"stribeck:1": (0.2, 0.1), "viscous_polynomial:1": (0.03, 0.015)}
-    twice = {"stribeck:1": (0.4, 0.1), "viscous_polynomial:1": (0.06, 0.03)}
-    one, two = (discriminate(fit, RIVALS, sizes=s, evaluations=120) for s in (sizes, twice))
-    assert two.sizes["stribeck:1"] == [0.4, 0.1]
-    # the same search, since the criterion is the same but for a factor
-    assert one.exact_seconds == pytest.approx(4.0 * two.exact_seconds, rel=1e-6)
-
-
 def test_one_motion_separates_several_groups(fit):
     groups = [RIVALS, ("position_spring:2", "torque_ripple:2")]
     design = discriminate(fit, groups, evaluations=110)
@@ -245,22 +236,6 @@ def test_invalid_effects_are_refused(fit, effects, sizes, words):
 def test_absorbed_effects_have_no_solution(fit, alias):
     with pytest.raises(NoSolution, match=f"{alias}.*no data"):
         discriminate(fit, [alias, "stribeck:1"])
-
-
-def test_two_names_of_one_effect_have_no_solution(fit):
-    from lieid_casadi.effects.registry import REGISTER, effect
-
-    units = {"a": "N·m·s²/rad²", "b": "N·m·s³/rad³"}
-
-    @effect("half_polynomial", formula="a·…", coefficients=units)
-    def half(s, shape):
-        return [0.5 * s.sign * s.dq**2, 0.5 * s.dq**3 + s.sign * s.dq**2]
-
-    try:
-        with pytest.raises(NoSolution, match="no data can separate them"):
-            discriminate(fit, ["half_polynomial:1", "viscous_polynomial:1"])
-    finally:
-        del REGISTER["half_polynomial"]
 
 
 def test_saved_files_hold_the_motion_and_the_answer(design, tmp_path):

@@ -10,7 +10,7 @@ from experiments.arms import QUICK, ROBOT, arm, measured, recorder, sines
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.diagnosis import Difference, Rival
-from lieid_casadi.errors import ExcitationError, OutputError, PremiseError, RecordError
+from lieid_casadi.errors import OutputError, PremiseError, RecordError
 from lieid_casadi.experiments.motion import MotionDesign
 from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
 from lieid_casadi.report import experiment_report
@@ -141,11 +141,6 @@ def test_folder_of_something_else_is_refused(given, tmp_path):
         lieid.experiment(ROBOT, given, record=record, folder=tmp_path, **QUICK)
 
 
-def test_lengths(given):
-    with pytest.raises(ExcitationError, match="probe"):
-        lieid.experiment(ROBOT, given, record=recorder(arm())[0], longest=6.0)
-
-
 @pytest.fixture(scope="module")
 def ambiguous(given):
     """Return a diagnosis that does not separate two effects."""
@@ -210,19 +205,6 @@ def test_a_motion_for_a_shape_covers_speeds(design, ambiguous, tmp_path):
     for part in (0.03, 0.15, 0.6):
         steady = np.isclose(speed[:, 0], part * design.range.velocity[0], rtol=1e-6)
         assert steady.sum() > 80  # at 200 Hz
-
-
-@pytest.mark.slow
-def test_rivals_are_separated_without_an_excitation(given, monkeypatch):
-    """If an excitation were to show no more than the recordings, the first motion is for rivals."""
-    monkeypatch.setattr("lieid_casadi.experiments.motion.WORTH", np.inf)
-    result = lieid.experiment(ROBOT, given, record=recorder(arm())[0], most=1, **QUICK)
-    before, after = result.rounds
-    assert after.purpose.kind == "rivals"
-    assert after.purpose.groups == (("stribeck:1", "viscous_polynomial:1"),)
-    assert before.open == after.purpose.groups
-    assert after.named == ("stribeck:1",)
-    assert result.stopped == "all_named"
 
 
 @pytest.mark.slow
