@@ -19,9 +19,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import digamma, polygamma
+from scipy.special import digamma, polygamma, stdtr
 from scipy.stats import betabinom, chi2, f, median_abs_deviation
-from scipy.stats import t as student
 
 from lieid_casadi.arrays import Array
 
@@ -262,10 +261,10 @@ def strongest_change(
         return None
     white = whitening(series, prior) / series.scales
     known, target = _known_columns(series, white, prior, temperature)
-    kinds, firsts, shapes = _shapes(series.days)
+    kinds, firsts, shapes = _shapes(series.days.tobytes())
     columns = np.zeros((len(target), len(kinds)))
     columns[:count] = white @ shapes
-    basis = np.linalg.qr(known)[0]
+    basis, triangle = np.linalg.qr(known)
     rest = target - basis @ (basis.T @ target)
     outside = columns - basis @ (basis.T @ columns)
     norm = np.sqrt(np.sum(outside**2, axis=0))
@@ -276,12 +275,12 @@ def strongest_change(
     scatter = np.sqrt((prior.freedom * prior.variance + misfit) / freedom)
     statistic = projected / scatter
     best = int(np.argmax(statistic if rises_only else np.abs(statistic)))
-    tail = float(student.sf(statistic[best] if rises_only else abs(statistic[best]), freedom))
+    tail = float(stdtr(freedom, -statistic[best] if rises_only else -abs(statistic[best])))
     p_value = min(1.0, (1.0 if rises_only else 2.0) * tail * len(kinds))
     coefficient = projected[best] / norm[best] if usable[best] else 0.0
     error = scatter[best] / norm[best] if usable[best] else np.inf
     drift, at_end = kinds[best] == "drift", shapes[-1, best]
-    level = np.linalg.lstsq(known, target - coefficient * columns[:, best], rcond=None)[0][0]
+    level = np.linalg.solve(triangle, basis.T @ (target - coefficient * columns[:, best]))[0]
     interval = (0.0, 0.0)
     if drift:
         of_drift = (kinds == "drift") & usable
@@ -321,7 +320,7 @@ def _p_without_night(
     misfit = np.maximum(rest @ rest - (rest @ nights) ** 2 - projected**2, 0.0)
     freedom = prior.freedom + len(rest) - basis.shape[1] - 2
     statistic = projected / np.sqrt((prior.freedom * prior.variance + misfit) / freedom)
-    return float(min(1.0, 2.0 * student.sf(statistic.min(), freedom)))
+    return float(min(1.0, 2.0 * stdtr(freedom, -statistic.min())))
 
 
 def _slopes(projected: Array, norm: Array, misfit: Array, most: float) -> tuple[float, float]:
@@ -351,8 +350,10 @@ def _known_columns(
     return (np.vstack([columns, [0.0, weight]]), np.append(target, weight * temperature.slope))
 
 
-def _shapes(days: Array) -> tuple[Array, NDArray[np.intp], Array]:
+@lru_cache(maxsize=32)
+def _shapes(day_bytes: bytes) -> tuple[Array, NDArray[np.intp], Array]:
     """Return kind, first changed night and shape (N, k) of all changes that are tested."""
+    days = np.frombuffer(day_bytes)
     count = len(days)
     steps, starts = np.arange(BASELINE_NIGHTS, count), np.arange(count - 2)
     step_shapes = (np.arange(count)[:, None] >= steps).astype(float)

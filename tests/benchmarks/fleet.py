@@ -236,14 +236,14 @@ CREATE TEMP TABLE drawn AS SELECT format('A{:05d}', a) AS serial,
     DATE '2026-01-01' + n::INTEGER AS date,
     a * 10000 + n AS run FROM range($arms) x(a), range($nights) y(n);
 INSERT INTO arms SELECT DISTINCT serial, 'robot', 6, 'f', '{}', NULL, NULL, NULL, '' FROM drawn;
-INSERT INTO runs SELECT run, serial, 'r' || run, '', 'f', '', now()::TIMESTAMP, 1, 'done', '', date,
+INSERT INTO runs SELECT run, serial, 'r' || run, '', 'f', '', date::TIMESTAMP, 1, 'done', '', date,
     '', '', '', 2 FROM drawn;
 INSERT INTO parameters SELECT run, serial, date, name, j, 2 + 0.01 * sqrt(-2 * ln(1 - random()))
     * cos(2 * pi() * random()), 0.01, 'N·m' FROM drawn, range(1, 7) x(j),
     (VALUES ('coulomb.f_c'), ('viscous.f_v'), ('offset.f_b')) y(name);
 INSERT INTO errors SELECT run, serial, date, j, 0.1 * (0.95 + 0.1 * random()), 0.08, 0.1, 3, 25,
     -1, 1, 0, 0.5 FROM drawn, range(1, 7) x(j);
-INSERT INTO judged SELECT max(date) - 1, TIMESTAMP '2020-01-01' FROM drawn;
+INSERT INTO judged SELECT max(date) - 1, max(date) - 1 FROM drawn;
 DROP TABLE drawn;
 """
 
