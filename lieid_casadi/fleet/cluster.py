@@ -27,7 +27,7 @@ LOCAL_SETTINGS = {
     "distributed.admin.system-monitor.interval": "5s",
 }
 LARGEST_BATCH = 16  # arm-nights of one task, whose rows are recorded together
-BATCHES_PER_THREAD = 4  # at least, so that all threads end together
+BATCHES_PER_THREAD = 8  # at least, so that all threads end together
 CHECK_EVERY = 1.0  # s: of timeouts and of the connection
 WORKERS_WAIT = 120.0  # s: for which a cluster may be without workers
 
