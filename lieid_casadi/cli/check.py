@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
-from lieid_casadi.errors import LieidError, PremiseError
+from lieid_casadi.errors import LieidError, PremiseError, warning_list
 
 if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
@@ -34,19 +34,26 @@ def run(args: argparse.Namespace) -> output.Outcome:
     """
     from lieid_casadi.identification import Fit
     from lieid_casadi.premises import check
+    from lieid_casadi.recording import require_plausible_units
     from lieid_casadi.report import premises_report
 
     source: Robot | Fit = Fit.load(args.robot) if inputs.is_fit(args) else inputs.robot_of(args)
-    recordings = inputs.recordings_of(args.recordings, args, source)
+    robot = source.model.robot if isinstance(source, Fit) else source
+    recordings = inputs.recordings_of(args.recordings, args, source, any_unit=True)
     test = inputs.recordings_of(args.test, args, source)
     with output.progress("check") as report:
         found = check(source, recordings, test=test, progress=report)
+    if not {"time_unit", "position_unit"} & {finding.premise for finding in found.findings}:
+        for recording in recordings:
+            require_plausible_units(recording, robot)
+    said = {finding.sentence for finding in found.findings}
+    every = (w for r in (*recordings, *test) for w in r.warnings)
+    warnings = [w for w in every if f"{w}." not in said]
     unchecked = [f"Not checked: {premise} ({why})." for premise, why in found.not_checkable]
     status = WRONG if found.verdict == "wrong" else 0
-    robot = source.model.robot if isinstance(source, Fit) else source
     return output.Outcome(
-        (*shown(found), *unchecked),
-        json=found.to_dict(),
+        (*shown(found), *unchecked, *warnings),
+        json=found.to_dict() | {"warnings": warning_list(warnings)},
         html=lambda: premises_report(robot, found),
         status=status,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from lieid_casadi.cli import output
 from lieid_casadi.cli.options import given
-from lieid_casadi.errors import RecordingError, UsageError
+from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.excitation.limits import Limit
@@ -137,38 +136,31 @@ def fit_and_recordings(
 
 
 def recordings_of(
-    paths: Sequence[str], args: argparse.Namespace, source: Robot | Fit
+    paths: Sequence[str], args: argparse.Namespace, source: Robot | Fit, *, any_unit: bool = False
 ) -> list[Recording]:
-    """Load recordings.
+    """Load recordings; other units than SI are refused unless ``any_unit``.
 
     Currents become torques by --torque-constants, the constants of a fit, or the robot's own.
     Without --units and --columns, those of a fit's training recordings are used.
     """
     from lieid_casadi.identification import Fit
+    from lieid_casadi.premises.correction import load_by_columns
     from lieid_casadi.recording import require_plausible_units
 
     robot = source.model.robot if isinstance(source, Fit) else source
     options = _reading_options(args, robot) | _torque_options(args, robot)
-    columns = ""
+    columns: tuple[str, ...] = ()
     if isinstance(source, Fit):
         options |= _as_in_training(args, source)
-        columns = "" if args.columns else ",".join(source.provenance.columns)
+        columns = () if args.columns else source.provenance.columns
     correction = correction_of(args, robot.n, source)
-    recordings = [correction.of_recording(_loaded(path, options, columns)) for path in paths]
+    read = (load_by_columns(path, columns, options) for path in paths)
+    recordings = [correction.of_recording(recording) for recording in read]
     for recording in recordings:
         _require_drive_law(recording)
-        require_plausible_units(recording, robot)
+        if not any_unit:
+            require_plausible_units(recording, robot)
     return recordings
-
-
-def _loaded(path: str, options: dict[str, Any], columns: str) -> Recording:
-    """Load a recording by the columns of a fit's training recordings, if its file has those."""
-    from lieid_casadi.recording import Recording
-
-    if columns:
-        with contextlib.suppress(RecordingError):
-            return Recording.load(path, **options | {"columns": columns})
-    return Recording.load(path, **options)
 
 
 def currents_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) -> list[Recording]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from lieid_casadi.identification.regression.least_squares import (
 from lieid_casadi.identification.uncertainty.covariance import prior_rows
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.premises import PremiseCheck, check
+from lieid_casadi.premises.correction import correction_of, load_by_columns
 from lieid_casadi.recording import Recording, process, require_plausible_units
 from lieid_casadi.recording.readers.registry import hash_of_file
 from lieid_casadi.robot.inertia import parameter_transport
@@ -152,16 +154,21 @@ def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
 
 
 def load_night(night: ArmNight, fit_content: bytes, path: Path) -> tuple[Fit, Recording]:
-    """Return the fit of an arm, with the known payload, and a recording that fits its model."""
+    """Return the fit of an arm, with the known payload, and a recording that fits its model.
+
+    The recording is read and corrected as those that the fit was made from.
+    """
     fit = _fit(fit_content, None, None)
-    robot = fit.model.robot
-    recording = Recording.load(
-        path,
-        torque_constants=night.torque_constants,
-        n=robot.n,
-        joint_names=[joint.name for joint in robot.joints],
-        revolute=np.array([joint.revolute for joint in robot.joints]),
-    )
+    robot, read = fit.model.robot, fit.provenance
+    options: dict[str, Any] = {
+        "torque_constants": night.torque_constants,
+        "n": robot.n,
+        "joint_names": [joint.name for joint in robot.joints],
+        "revolute": np.array([joint.revolute for joint in robot.joints]),
+        "units": read.units,
+    }
+    recording = load_by_columns(path, read.columns, options)
+    recording = correction_of(read.corrections, robot.n).of_recording(recording)
     payload = _payload(night, recording)
     if payload is not None:
         fit = _fit(fit_content, payload, night.tool)

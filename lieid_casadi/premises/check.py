@@ -120,7 +120,7 @@ def check(
             break
         corrected.append(found)
         state = state.corrected(found[1])
-    findings += with_all_remedies(corrected, arm.n)
+    findings += with_all_remedies(corrected, arm.n, given[0].corrections)
     findings.sort(key=lambda f: (not f.certain, 1.0 if f.ratio is None else f.ratio))
     findings = [*_mismatch(state), *findings]  # corrections that leave the arm unexplained are none
     if torque_signal.from_model(state.confirmed):

@@ -6,10 +6,13 @@ the plain fit (to test it), by the same formulas.
 
 from __future__ import annotations
 
+import contextlib
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -195,23 +198,38 @@ def correction_of(options: Sequence[str], n: int) -> Correction:
     return replace(made, options=tuple(t for t in texts if not t.startswith("--base-rpy")))
 
 
-def with_all_remedies(found: Sequence[tuple[Finding, Correction]], n: int) -> list[Finding]:
+def load_by_columns(
+    path: str | Path, columns: Sequence[str], options: Mapping[str, Any]
+) -> Recording:
+    """Load a recording by the columns of other ones (NAME=COLUMN), if its file has those."""
+    if columns:
+        with contextlib.suppress(RecordingError):
+            return Recording.load(path, **{**options, "columns": ",".join(columns)})
+    return Recording.load(path, **options)
+
+
+def with_all_remedies(
+    found: Sequence[tuple[Finding, Correction]], n: int, before: Sequence[str] = ()
+) -> list[Finding]:
     """Return findings, each of which was made after the corrections before it.
 
     Their remedies are changed to the options that correct the recording when they are given
-    together, where options can state that.
+    together and in place of those ``before`` that corrected it already, where options can state
+    that.
     """
-    if len(found) < 2:
-        return [finding for finding, _ in found]
+    unchanged = [finding for finding, _ in found]
     whole = _Stated(n)
-    for _, correction in found:
-        if not whole.add(correction):
-            return [finding for finding, _ in found]
-    texts = whole.texts()
+    corrections = [*(correction_of([text], n) for text in before), *(c for _, c in found)]
+    if len(corrections) < 2 or not all(whole.add(c) for c in corrections):
+        return unchanged
+    texts, earlier = whole.texts(), [text.split()[0] for text in before]
     made = []
-    for finding, _ in found:
-        names = re.findall(r"--[a-z-]+", finding.remedy)
-        remedy = " ".join(texts[name] for name in names if name in texts) or finding.remedy
+    for finding in unchanged:
+        names = dict.fromkeys([*re.findall(r"--[a-z-]+", finding.remedy), *earlier])
+        stated = [texts[name] for name in names if name in texts]
+        if not stated and before:  # options that change nothing replace those before
+            stated = [f"--joint-order {' '.join(str(j + 1) for j in range(n))}"]
+        remedy = " ".join(stated) or finding.remedy
         sentence = finding.sentence.replace(finding.remedy, remedy)
         made.append(replace(finding, remedy=remedy, sentence=sentence))
     return made
@@ -266,6 +284,8 @@ class _Stated:
             state("--joint-zero", whole.zero)
         if whole.late:
             state("--time-offset", [whole.late])
+        if whole.derive:
+            state("--derive-velocity", ())
         source = np.argmax(np.abs(whole.torque), axis=1)
         gain = whole.torque[np.arange(n), source]
         if np.any(gain < 0.0):

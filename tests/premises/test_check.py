@@ -1,6 +1,8 @@
 """Premises that a recording contradicts are found, on simulated arms; sound ones are not."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hidden_effects.arms import load_arm
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
+from lieid_casadi.fleet.arm_night import ArmNight, load_night
 from lieid_casadi.premises.correction import correction_of, gravity_of, shifted
 from lieid_casadi.robot.yaml_file import write_yaml
 
@@ -236,11 +239,30 @@ def test_a_fit_remembers_what_corrected_its_recordings(folder, capsys):
     assert main(["identify", arm, swapped, *options, "-o", fit]) == 0
     assert lieid.Fit.load(fit).provenance.corrections == ("--joint-order 1 3 2 4 5 6",)
     assert main(["compare", fit, swapped]) == 0
-    identity = ["--joint-order", "1", "2", "3", "4", "5", "6"]
-    assert main(["check", fit, good, *identity]) == 0
-    assert main(["check", fit, good]) == 4
+    found = str(folder / "found.json")
+    assert main(["check", fit, good, "--json", found]) == 4
+    remedy = json.loads(Path(found).read_text())["findings"][0]["remedy"]
+    assert remedy == "--joint-order 1 2 3 4 5 6"  # in place of the stored one
+    assert main(["check", fit, good, *remedy.split()]) == 0
+    night = ArmNight("A1", "2026-01-05", swapped, "", "f")
+    _, read = load_night(night, Path(fit).read_bytes(), Path(swapped))
+    np.testing.assert_array_equal(read.tau, lieid.Recording.load(good).tau)
     assert main(["compare", fit, good, "--base-rpy", "0", "0", "0"]) == 2
     assert "mounting" in capsys.readouterr().err
+
+
+def test_units_and_what_was_left_out_are_part_of_a_check(folder, run, tmp_path, capsys):
+    arm, found, tau = str(folder / "arm.yaml"), tmp_path / "found.json", run.tau.copy()
+    tau[[7, 900], 2] = np.nan
+    damaged = {"t": 1e3 * run.t, "q": run.q, "dq": run.dq, "tau": tau}
+    np.savez(tmp_path / "run.npz", **damaged)
+    assert main(["check", arm, str(tmp_path / "run.npz"), "--json", str(found)]) == 4
+    result = json.loads(found.read_text())
+    assert [(f["premise"], f["remedy"]) for f in result["findings"]] == [
+        ("time_unit", "--units ms")
+    ]
+    assert [w["name"] for w in result["warnings"]] == ["DamagedRowsWarning"]
+    assert "2 of 2000 rows have values that are missing" in capsys.readouterr().out
 
 
 def test_a_fit_remembers_the_columns_of_its_recordings(folder, run, tmp_path):
