@@ -36,7 +36,7 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi.excitation import CartesianSpeed, Criterion
-from lieid_casadi.excitation.design import ExcitationProblem, make_design
+from lieid_casadi.excitation.design import ExcitationProblem
 from lieid_casadi.excitation.search import Search
 from lieid_casadi.excitation.trajectory import Fourier
 
@@ -78,7 +78,7 @@ class PaperProblem(ExcitationProblem):
     @cached_property
     def metric(self):
         """No change of coordinates."""
-        return np.eye(self.design.model.base.count)
+        return np.eye(self.model.base.count)
 
     @cached_property
     def stages(self):
@@ -97,12 +97,12 @@ class PaperProblem(ExcitationProblem):
 def run(criterion, seeds, **thresholds):
     """Return one row (C2, C4, processor seconds, iterations) per start."""
     model = lieid.Model(lieid.robots.panda_luo2024(), effects=FRICTION)
-    design = make_design(
+    problem = PaperProblem(
         model, basis=Fourier(), criterion=criterion,
         limits=(CartesianSpeed(V_C),), start_pose=np.zeros(7),
         margin=1.0, **thresholds,
     )  # fmt: skip
-    problem, rows = PaperProblem(design), []
+    rows = []
     for seed in seeds:
         began = time.process_time()
         solution = Search(problem, seed).solve()

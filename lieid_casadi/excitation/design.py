@@ -1,4 +1,4 @@
-"""A design problem: its specification from the arguments of ``excite``, and its functions."""
+"""A design problem: its limits, start pose and functions, from the arguments of ``excite``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from lieid_casadi.excitation.criteria import (
     CriterionStage,
     InformationMatrix,
     LogDet,
-    criterion_name,
     design_model,
     stages,
 )
@@ -36,7 +35,7 @@ from lieid_casadi.excitation.limits import (
     sets_of,
 )
 from lieid_casadi.excitation.rigid_arm import nearness_to_singular
-from lieid_casadi.excitation.sample_functions import FittedArm, IdentifiedModel, model_and_fit
+from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
 from lieid_casadi.excitation.trajectory import (
     Fourier,
     MotionSamples,
@@ -59,85 +58,6 @@ DISTANCE = 1e-3  # distance from a limit during the optimization, in parts of it
 COARSE = 4  # grid points of the optimization per sample of the criterion
 FINE = 20  # grid points of the verification per sample of the criterion, at least
 FAR = 0.3  # distance of −log det per parameter from Δ₂ above which its gradient is omitted
-
-
-@dataclass(frozen=True, eq=False)
-class ExcitationDesign:
-    """Specification of a design; ``limits`` are those besides the joints'.
-
-    Without a ``pose`` one is found within all limits.
-    """
-
-    model: Model
-    fit: FittedArm | None
-    basis: Fourier
-    samples: int
-    range: MotionRange
-    limits: tuple[Limit, ...]
-    pose: Array | None
-    criterion: CriterionName | CriterionExpression | Criterion
-    condition_threshold: float | None = None
-    neg_log_det_threshold: float | None = None
-
-
-def make_design(
-    source: Model | Robot | IdentifiedModel,
-    *,
-    basis: Fourier,
-    criterion: CriterionName | CriterionExpression | Criterion = "combined",
-    inertial_only: bool = False,
-    limits: Sequence[Limit] | None = None,
-    start_pose: ArrayLike | None = None,
-    acceleration: ArrayLike | None = None,
-    margin: float = MARGIN,
-    samples: int = 100,
-    condition_threshold: float | None = None,
-    neg_log_det_threshold: float | None = None,
-) -> ExcitationDesign:
-    """Check the arguments of `excite` and return the design that they specify."""
-    if isinstance(criterion, str) and criterion not in NAMES:
-        raise ExcitationError(
-            f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}, or a function of the "
-            "information matrix"
-        )
-    if not 4 * basis.size <= samples <= MOST_SAMPLES:
-        raise ExcitationError(
-            f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
-            f"coefficients per joint, and at most {MOST_SAMPLES}"
-        )
-    _check_thresholds(criterion, condition_threshold, neg_log_det_threshold)
-    model, fit = model_and_fit(source)
-    reduced = Model(model.robot) if inertial_only else design_model(model)[0]
-    robot = reduced.robot
-    joints = motion_range(robot, acceleration, margin=margin)
-    check_duration(robot, joints, basis.duration)
-    pose = None if start_pose is None else np.asarray(start_pose, dtype=float)
-    if pose is not None:
-        check_start_pose(robot, joints, pose)
-    if limits is None:
-        limits = default_limits(robot, margin=margin)
-    return ExcitationDesign(
-        reduced, fit, basis, samples, joints, tuple(limits), pose, criterion,
-        condition_threshold, neg_log_det_threshold,
-    )  # fmt: skip
-
-
-def _check_thresholds(
-    criterion: CriterionName | CriterionExpression | Criterion,
-    condition_threshold: float | None,
-    neg_log_det_threshold: float | None,
-) -> None:
-    """Refuse thresholds that the criterion does not have."""
-    given = {
-        "condition_threshold": condition_threshold, "neg_log_det_threshold": neg_log_det_threshold,
-    }  # fmt: skip
-    for name, value in given.items():
-        if value is not None and criterion != "combined":
-            raise ExcitationError(
-                f"{name}: only the criterion 'combined' has it, not {criterion_name(criterion)!r}"
-            )
-    if condition_threshold is not None and not condition_threshold >= 1.0:
-        raise ExcitationError(f"condition_threshold: {condition_threshold:g}; expected at least 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,44 +100,84 @@ def excesses_along(
 
 
 class ExcitationProblem:
-    """A design with the compiled functions that its solution needs."""
+    """A design with the compiled functions that its solution needs; arguments as of `excite`.
 
-    def __init__(self, design: ExcitationDesign) -> None:
-        self.design = design
-        robot = design.model.robot
-        self.limits = on_arm(design.limits, robot, design.fit)
-        self.sets = (design.range.constraint_set(), *sets_of(self.limits))
-        if design.pose is None:
-            self.pose = find_start_pose(robot, design.range, self.sets)
+    ``limits`` are those besides the joints'. ``condition_threshold`` is Δ₁ of the criterion
+    ``combined`` (Eq. 20), at which a search ends, ``neg_log_det_threshold`` Δ₂, its bound on −log
+    det; by default the condition number is minimized, and Δ₂ follows from the first stage.
+    """
+
+    def __init__(
+        self,
+        source: Model | Robot | IdentifiedModel,
+        *,
+        basis: Fourier,
+        criterion: CriterionName | CriterionExpression | Criterion = "combined",
+        inertial_only: bool = False,
+        limits: Sequence[Limit] | None = None,
+        start_pose: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
+        margin: float = MARGIN,
+        samples: int = 100,
+        condition_threshold: float | None = None,
+        neg_log_det_threshold: float | None = None,
+    ) -> None:
+        if isinstance(criterion, str) and criterion not in NAMES:
+            raise ExcitationError(
+                f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}, or a function of "
+                "the information matrix"
+            )
+        if not 4 * basis.size <= samples <= MOST_SAMPLES:
+            raise ExcitationError(
+                f"samples: {samples}; expected {4 * basis.size} at least for {basis.size} "
+                f"coefficients per joint, and at most {MOST_SAMPLES}"
+            )
+        model, self.fit = model_and_fit(source)
+        self.model = Model(model.robot) if inertial_only else design_model(model)[0]
+        robot = self.model.robot
+        self.basis, self.criterion, self.sample_count = basis, criterion, samples
+        self.condition_threshold = condition_threshold
+        self.neg_log_det_threshold = neg_log_det_threshold
+        self.range = motion_range(robot, acceleration, margin=margin)
+        check_duration(robot, self.range, basis.duration)
+        if limits is None:
+            limits = default_limits(robot, margin=margin)
+        pose = None if start_pose is None else np.asarray(start_pose, dtype=float)
+        if pose is not None:
+            check_start_pose(robot, self.range, pose)
+        self.limits = on_arm(limits, robot, self.fit)
+        self.sets = (self.range.constraint_set(), *sets_of(self.limits))
+        if pose is None:
+            pose = find_start_pose(robot, self.range, self.sets)
         else:
-            check_at_rest(design.pose, self.sets)
-            self.pose = design.pose
-        self.parametrization = Parametrization(design.basis, self.pose, design.range.units)
+            check_at_rest(pose, self.sets)
+        self.pose = pose
+        self.parametrization = Parametrization(basis, pose, self.range.units)
         self.information = InformationMatrix(
-            design.model, sign_width=SIGN_WIDTH * design.range.velocity, fit=design.fit
+            self.model, sign_width=SIGN_WIDTH * self.range.velocity, fit=self.fit
         )
 
     @cached_property
     def metric(self) -> Array:
         """L (p, p): LᵀGL has the nonzero eigenvalues of the full regressor's Gram matrix."""
-        base = self.design.model.base
+        base = self.model.base
         return np.asarray(np.linalg.cholesky(base.combination @ base.combination.T))
 
     @cached_property
     def stages(self) -> tuple[CriterionStage, ...]:
         """Stages of the search."""
-        return stages(self.design.criterion, self.metric)
+        return stages(self.criterion, self.metric)
 
     @cached_property
     def samples(self) -> SampledBasis:
         """Grid of the criterion."""
-        times = period_grid(self.design.basis.duration, self.design.samples)
+        times = period_grid(self.basis.duration, self.sample_count)
         return SampledBasis(self.parametrization, times)
 
     def constraints(self, factor: int, *, margin: float = DISTANCE) -> SampledConstraints:
         """Return the constraint sets on a grid ``factor`` times finer, with the period's end."""
-        duration = self.design.basis.duration
-        times = np.append(period_grid(duration, factor * self.design.samples), duration)
+        duration = self.basis.duration
+        times = np.append(period_grid(duration, factor * self.sample_count), duration)
         return SampledConstraints(
             self.sets, SampledBasis(self.parametrization, times), margin=margin
         )
@@ -225,7 +185,7 @@ class ExcitationProblem:
     def excesses(self, z: Array) -> list[Excess]:
         """Return the excess of every quantity at z, on the fine grid."""
         trajectory = self.parametrization.trajectory(z)
-        return excesses_along(trajectory, self.sets, self.design.samples)
+        return excesses_along(trajectory, self.sets, self.sample_count)
 
     def within_limits(self, z: Array) -> bool:
         """Return whether the motion keeps every limit on the fine grid."""
@@ -268,7 +228,7 @@ class ExcitationProblem:
 
         Where that violates other limits by more than 0.3 of their scale, all joints move less.
         """
-        parametrization, limits = self.parametrization, self.design.range
+        parametrization, limits = self.parametrization, self.range
         generator = np.random.default_rng(seed)
         z = generator.normal(size=(parametrization.n, parametrization.directions_per_joint))
         motion = self.samples.motion(z.ravel())

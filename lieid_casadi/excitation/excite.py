@@ -26,7 +26,7 @@ from lieid_casadi.excitation.criteria import (
     design_model,
     quality,
 )
-from lieid_casadi.excitation.design import ExcitationProblem, make_design
+from lieid_casadi.excitation.design import ExcitationProblem
 from lieid_casadi.excitation.limits import Limit
 from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
 from lieid_casadi.excitation.search import StartAttempt, solve_all
@@ -66,8 +66,6 @@ def excite(
     periods: int = 1,
     samples: int = 100,
     rate: float = 1000.0,
-    condition_threshold: float | None = None,
-    neg_log_det_threshold: float | None = None,
     starts: int = 4,
     seed: int = 0,
     max_iterations: int | None = None,
@@ -121,12 +119,6 @@ def excite(
         Of the criterion over a period; limits are verified on a grid 20 times finer, and at 1 kHz.
     rate : float
         Of the files, Hz.
-    condition_threshold : float, optional
-        Δ₁ of ``combined`` (Eq. 20): a start ends at the first feasible trajectory whose condition
-        number is at most this. Default: it is minimized.
-    neg_log_det_threshold : float, optional
-        Δ₂ of ``combined`` (Eq. 20): bound on −log det of the base regressor's Gram matrix, SI.
-        Default: the value that minimizing 1/∏ of the column norms reaches, plus 0.5 a parameter.
     starts : int
         Number of random starts; the best trajectory is returned.
     seed : int
@@ -156,31 +148,29 @@ def excite(
     """
     began = time.monotonic()
     model = model_and_fit(source)[0]
-    design = make_design(
-        source, criterion=criterion, inertial_only=inertial_only, limits=limits,
-        start_pose=start_pose, acceleration=acceleration, margin=margin, samples=samples,
-        basis=Fourier(harmonics, duration), condition_threshold=condition_threshold,
-        neg_log_det_threshold=neg_log_det_threshold,
-    )  # fmt: skip
     _check(
         rate=rate, duration=duration, seed=seed, periods=periods, starts=starts,
         max_iterations=max_iterations,
     )  # fmt: skip
     progress("compiling", 0.0)
-    problem = ExcitationProblem(design)
+    problem = ExcitationProblem(
+        source, basis=Fourier(harmonics, duration), criterion=criterion,
+        inertial_only=inertial_only, limits=limits, start_pose=start_pose,
+        acceleration=acceleration, margin=margin, samples=samples,
+    )  # fmt: skip
     built = time.monotonic()
     seeds = range(seed, seed + starts)
     attempts = solve_all(problem, seeds, progress=progress, max_iterations=max_iterations)
     z = best_of(attempts)
     trajectory = problem.parametrization.trajectory(z)
     times = np.append(np.arange(0.0, trajectory.duration, 1.0 / rate), trajectory.duration)
-    verified = verify(model.robot, trajectory.at(times), design.range, problem.limits, design.fit)
+    verified = verify(model.robot, trajectory.at(times), problem.range, problem.limits, problem.fit)
     excesses = problem.excesses(z)
     return Excitation(
-        model=design.model, trajectory=trajectory, periods=periods, rest_pose=problem.pose,
+        model=problem.model, trajectory=trajectory, periods=periods, rest_pose=problem.pose,
         rate=rate, samples=samples, criterion=criterion_name(criterion),
         quality=quality(
-            design.model, trajectory.at(period_grid(trajectory.duration, samples)), design.fit
+            problem.model, trajectory.at(period_grid(trajectory.duration, samples)), problem.fit
         ),
         max_violation=max(0.0, *(excess.value for excess in excesses)),
         starts=tuple(attempts),

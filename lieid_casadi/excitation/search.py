@@ -65,11 +65,10 @@ class Search:
         progress: Progress = lambda stage, fraction: None,
         max_iterations: int | None = None,
     ) -> None:
-        design = problem.design
         self.problem, self.seed, self._progress = problem, seed, progress
         self._left = max_iterations
         self._stages = problem.stages
-        self._combined = design.criterion == "combined"
+        self._combined = problem.criterion == "combined"
         self._goal: float | None = None
         self._ceiling: float | None = None  # Δ₂ per parameter
         self._rank = neg_log_det_per_parameter if self._combined else self._final_rank
@@ -106,7 +105,6 @@ class Search:
 
     def _run_stages(self, z: Array) -> None:
         """Run the stages from z (m,); after the first one of ``combined`` −log det is bounded."""
-        design = self.problem.design
         for number, stage in enumerate(self._stages):
             iterations = stage.iterations
             if self._left is not None:
@@ -116,7 +114,7 @@ class Search:
             if self._combined and number == 1:
                 self._ceiling = self._reached_ceiling()
                 self._forget_best()  # the next iterates must meet Δ₂
-                self._rank, self._goal = self._final_rank, design.condition_threshold
+                self._rank, self._goal = self._final_rank, self.problem.condition_threshold
             objective = self.problem.objective(stage.criterion, self._ceiling)
             try:
                 z = self._solver.minimize(
@@ -130,16 +128,16 @@ class Search:
 
         At the exact value the feasible set nearly vanishes.
         """
-        given = self.problem.design.neg_log_det_threshold
+        given = self.problem.neg_log_det_threshold
         if given is not None:
-            return given / self.problem.design.model.base.count
+            return given / self.problem.model.base.count
         reached = self.best or self.last
         assert reached is not None
         return neg_log_det_per_parameter(reached) + NEG_LOG_DET_SLACK
 
     def _final_rank(self, state: Iterate) -> float:
         """Return what compares iterates: the condition number, or the criterion's value."""
-        if self.problem.design.criterion in ("combined", "condition"):
+        if self.problem.criterion in ("combined", "condition"):
             return self.problem.condition_number(state.outcome.gram)
         return self._stages[-1].criterion.evaluate(state.outcome.gram)[0]
 

@@ -15,7 +15,7 @@ from excitation_peer import Peer, first_time, run_slsqp
 import lieid_casadi as lieid
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation import CartesianSpeed, SelfCollision, Torque, capsules_of, floor
-from lieid_casadi.excitation.design import FINE, ExcitationProblem, make_design
+from lieid_casadi.excitation.design import FINE, ExcitationProblem
 from lieid_casadi.excitation.search import Search
 from lieid_casadi.excitation.trajectory import Fourier
 
@@ -26,11 +26,10 @@ LEVEL = 12.75
 
 def panda_problem():
     """43 inertial columns, 5 harmonics at 0.05 Hz, 5 rad/s², 100 samples."""
-    design = make_design(
+    return ExcitationProblem(
         lieid.Model(lieid.robots.panda()), basis=Fourier(), criterion="condition", limits=(),
         acceleration=5.0, margin=1.0,
     )  # fmt: skip
-    return ExcitationProblem(design)
 
 
 class TimedSearch(Search):
@@ -87,13 +86,12 @@ def limits_problem():
     """The same with torque, Cartesian speed, floor and self-collision, at rest at the middle."""
     robot = lieid.robots.panda()
     links = capsules_of(robot)
-    design = make_design(
+    return ExcitationProblem(
         lieid.Model(robot), basis=Fourier(), criterion="condition", acceleration=5.0, margin=1.0,
         limits=(
             Torque(), CartesianSpeed(SPEED), floor(capsules=links), SelfCollision(0.02, links),
         ),
     )  # fmt: skip
-    return ExcitationProblem(design)
 
 
 def limits(starts=10):
@@ -120,12 +118,11 @@ def report(problem, starts):
 def ur10e_problem(duration=20.0):
     """Inertial, Coulomb, viscous and offset columns, torque limits and self-collision."""
     robot = lieid.Robot.from_urdf(UR10E)
-    design = make_design(
+    return ExcitationProblem(
         lieid.Model(robot, effects=["coulomb", "viscous", "offset"]),
         basis=Fourier(duration=duration), criterion="condition", acceleration=5.0, margin=1.0,
         limits=(Torque(), SelfCollision(0.02, capsules_of(robot))),
     )  # fmt: skip
-    return ExcitationProblem(design)
 
 
 def ur10e(starts=5, seconds=20.0):

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 import lieid_casadi as lieid
-from lieid_casadi.excitation.design import ExcitationProblem, make_design
+from lieid_casadi.excitation.design import ExcitationProblem
 from lieid_casadi.excitation.search import Search
 from lieid_casadi.excitation.trajectory import Fourier
 
@@ -24,16 +24,15 @@ ITERATIONS = 200
 
 
 def make_problem():
-    design = make_design(
+    return ExcitationProblem(
         lieid.Model(lieid.robots.panda()), basis=Fourier(), criterion="logdet", limits=(),
         acceleration=5.0, margin=1.0,
     )  # fmt: skip
-    return ExcitationProblem(design)
 
 
 def graph(problem):
     """Return the NLP {x, f, g} and its bounds."""
-    model, functions = problem.design.model, problem.samples.functions  # (n, 3, N, d)
+    model, functions = problem.model, problem.samples.functions  # (n, 3, N, d)
     n, _, count, d = functions.shape
     z = ca.MX.sym("z", n * d)
     own = ca.vertsplit(z, d)
@@ -47,7 +46,7 @@ def graph(problem):
     stacked = ca.vertcat(*ca.horzsplit(stacked, p))
     gram = ca.mtimes(stacked.T, stacked)
     volume = ca.log(ca.det(gram * 1e-3)) / p + np.log(1e3)
-    limits = problem.design.range
+    limits = problem.range
     bounds = [limits.position, np.stack([-limits.velocity, limits.velocity], axis=1),
               np.stack([-limits.acceleration, limits.acceleration], axis=1)]  # fmt: skip
     g = ca.vertcat(*(ca.vec(signal) for signal in signals))
@@ -82,7 +81,7 @@ def run_own(problem):
         solution = Search(problem, seed).solve()
         seconds.append(time.process_time() - began)
         counts.append(solution.iterations)
-        numbers.append(solution.neg_log_det / problem.design.model.base.count)
+        numbers.append(solution.neg_log_det / problem.model.base.count)
     report("lieid-casadi", numbers, seconds, counts, 0.0)
 
 

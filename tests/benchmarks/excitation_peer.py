@@ -17,12 +17,12 @@ class Peer:
 
     def __init__(self, problem, *, friction=False):
         self.problem = problem
-        self.robot = problem.design.model.robot
-        self.base = problem.design.model.base
+        self.robot = problem.model.robot
+        self.base = problem.model.base
         self.model = build_pinocchio(self.robot)
         self.data = self.model.createData()
         self.friction = friction
-        self.width = problem.design.range.velocity * 0.02  # of the smooth sign, as in the design
+        self.width = problem.range.velocity * 0.02  # of the smooth sign, as in the design
 
     def rows(self, z):
         """The stacked base regressor in the metric of the full one (N n, p)."""

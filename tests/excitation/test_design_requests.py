@@ -88,8 +88,6 @@ def robot_with(**changes):
         ({}, {"criterion": "best"}, "expected one of combined"),
         ({}, {"samples": 10}, "samples: 10; expected 44"),
         ({}, {"starts": 0}, "starts: 0; expected 1"),
-        ({}, {"condition_threshold": 0.5}, "condition_threshold: 0.5; expected at least 1"),
-        ({}, {"criterion": "logdet", "condition_threshold": 9.0}, "only the criterion 'combined'"),
         ({}, {"periods": 0}, "periods: 0; expected 1"),
         ({}, {"max_iterations": 0}, "max_iterations: 0; expected 1"),
         ({}, {"seed": -1}, "seed: -1; expected 0"),

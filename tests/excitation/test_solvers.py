@@ -5,7 +5,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.excitation import Torque, excite
-from lieid_casadi.excitation.design import ExcitationProblem, make_design
+from lieid_casadi.excitation.design import ExcitationProblem
 from lieid_casadi.excitation.ipopt import Ipopt, ObjectiveValue, run_ipopt
 from lieid_casadi.excitation.search import Search
 from lieid_casadi.excitation.trajectory import Fourier
@@ -34,10 +34,9 @@ def test_the_solver_reads_no_clock(problem, monkeypatch):
 @pytest.fixture(scope="module")
 def problem():
     robot = lieid.robots.two_link()
-    design = make_design(
+    return ExcitationProblem(
         lieid.Model(robot), basis=Fourier(duration=6.0), criterion="condition", limits=()
     )
-    return ExcitationProblem(design)
 
 
 def test_a_quadratic_objective_within_linear_limits(problem):
