@@ -22,12 +22,10 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --unloaded REC …: input required  recordings of currents without the payload
     --loaded REC …: input required  recordings of currents with the payload
     --mass KG: above required  mass of the payload
-    --yaml FILE: output  write the robot with its torque constants
     --plot FILE: picture  draw the gains
     @EFFECTS @EFFECTS_FILE @READING @PROCESSING @JSON @THREADS
     """
     from lieid_casadi.gains import drive_gains
-    from lieid_casadi.robot.yaml_file import write_yaml
 
     robot = inputs.model_of(args).robot
     with output.progress("gains") as report:
@@ -44,7 +42,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         shown(gains),
         json=gains.to_dict(),
         plot=gains.plot,
-        files={"yaml": lambda: write_yaml(gains.robot_with_gains()).encode()},
     )
 
 

@@ -32,7 +32,7 @@ from lieid_casadi.model import Model
 from lieid_casadi.payload.identify import require_one_load
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.recording.recording import listed
-from lieid_casadi.robot import Drive, Robot
+from lieid_casadi.robot import Robot
 from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:
@@ -104,29 +104,6 @@ class DriveGains:
             return None
         option = "--torque-constants" if self.per == "A" else "--stiffness"
         return f"{option} " + ",".join(f"{k:.5g}" for k in self.gains)
-
-    def robot_with_gains(self) -> Robot:
-        """Return the robot with these torque constants.
-
-        Raises
-        ------
-        IdentificationError
-            A gain cannot be identified.
-        """
-        if self.not_identified:
-            part = self.not_identified[0]
-            raise IdentificationError(
-                f"the gain of joint {part.joint + 1} cannot be identified ({part.reason}); a robot "
-                "needs the torque constants of all joints"
-            )
-        if self.per == "rad":
-            laws = [Drive(stiffness=float(k)) for k in self.gains]
-            return replace(self.robot.with_drives(laws), source=None)
-        joints = tuple(
-            replace(joint, torque_constant=float(k))
-            for joint, k in zip(self.robot.joints, self.gains, strict=True)
-        )
-        return replace(self.robot, joints=joints, source=None)
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per joint (from 1): gain, std, interval, unit, identified."""

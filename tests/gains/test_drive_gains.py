@@ -70,7 +70,6 @@ def test_centre_of_mass_is_identified(found):
 def test_option_for_other_commands(found):
     constants = found.option.removeprefix("--torque-constants ").split(",")
     assert np.allclose([float(k) for k in constants], found.gains, rtol=1e-4)
-    assert np.allclose(found.robot_with_gains().torque_constants, found.gains)
 
 
 def test_exact_without_noise_and_friction():
@@ -126,8 +125,6 @@ def test_slow_motion_does_not_identify_the_gain_of_a_vertical_axis():
     assert found.option is None
     assert np.all(np.abs(found.gains - GAINS) < 3.5 * found.std)
     assert np.all(found.std[1:6] < 0.02 * GAINS[1:6])
-    with pytest.raises(IdentificationError, match="gain of joint 1 cannot be identified"):
-        found.robot_with_gains()
 
 
 def test_a_joint_that_never_moves_is_reported_and_the_others_are_found():
