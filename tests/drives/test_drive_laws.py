@@ -189,4 +189,3 @@ def test_gains_of_commands_are_stiffnesses():
     np.testing.assert_allclose(gains.gains, [120.0, 50.0], rtol=0.03)
     assert gains.option is not None
     assert gains.option.startswith("--stiffness ")
-    assert gains.robot_with_gains().drives is not None
