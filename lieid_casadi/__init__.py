@@ -27,7 +27,6 @@ __all__ = [
     "LieidWarning",
     "Limits",
     "Model",
-    "Obstacle",
     "PayloadEstimate",
     "PlannedMotion",
     "PremiseCheck",
@@ -78,7 +77,7 @@ _HOME = {
         "effects": "Coefficient Effect Shape Signals effect register",
         "errors": "LieidError LieidWarning",
         "excitation": (
-            "CartesianSpeed Excitation Obstacle SelfCollision Torque Wall default_limits "
+            "CartesianSpeed Excitation SelfCollision Torque Wall default_limits "
             "excite floor workspace_box"
         ),
         "experiments": "Experiment PlannedMotion experiment",
@@ -112,7 +111,6 @@ if TYPE_CHECKING:
     from lieid_casadi.errors import LieidError, LieidWarning
     from lieid_casadi.excitation import (
         CartesianSpeed,
-        Obstacle,
         SelfCollision,
         Torque,
         Wall,

@@ -2,7 +2,6 @@
 
 from lieid_casadi.excitation.checks import default_limits
 from lieid_casadi.excitation.clearance import (
-    Obstacle,
     SelfCollision,
     Wall,
     floor,
@@ -25,7 +24,6 @@ __all__ = [
     "Fourier",
     "FrictionSweep",
     "Limit",
-    "Obstacle",
     "SelfCollision",
     "SymbolicSet",
     "Torque",
