@@ -30,11 +30,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     """
     from lieid_casadi.exporters.samples import export_samples
     from lieid_casadi.identification import Fit
-    from lieid_casadi.identification.ensemble import (
-        coverage_table,
-        ensemble_coverage,
-        model_weights,
-    )
+    from lieid_casadi.identification.ensemble import ensemble_coverage, model_weights
 
     fit, *rivals = fits = [Fit.load(path) for path in (args.fit, *args.rival)]
     test = inputs.recordings_of(args.test, args, fit)
@@ -57,8 +53,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     coverage = None
     if test:
         coverage = ensemble_coverage(samples, test)
-        names = [joint.name for joint in fit.model.robot.joints]
-        shown += [coverage_table(coverage, names), coverage.sentence]
+        shown.append(coverage.sentence)
     else:
         shown.append(
             "They state the uncertainty of the parameters, not errors of the model; --test REC "

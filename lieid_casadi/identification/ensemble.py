@@ -17,7 +17,6 @@ from lieid_casadi.identification.uncertainty.noise_model import redundancy_of, r
 from lieid_casadi.messages import joints_text
 from lieid_casadi.recording import Recording, process
 from lieid_casadi.recording.recording import listed
-from lieid_casadi.tables import Table, make_table
 
 BLOCK = 2.0  # s, longer than the correlation of residuals
 RESAMPLES = 2000
@@ -174,16 +173,3 @@ def ensemble_coverage(
             for x in (inside, variances, [e**2 for e in errors])
         )
     return EnsembleCoverage(level, share, np.sqrt(variance), np.sqrt(square))
-
-
-def coverage_table(coverage: EnsembleCoverage, names: Sequence[str]) -> Table:
-    """Return share, scatter of the samples and error of each joint."""
-    return make_table(
-        f"Measured torque within {100 * coverage.level:.0f} % bands, joints in motion",
-        ("joint", "inside, %", "scatter of the samples, N·m", "RMS error, N·m"),
-        [
-            (f"{j + 1} {name}", *(float(x[j]) for x in columns))
-            for j, name in enumerate(names)
-            for columns in [(100.0 * coverage.share, coverage.spread, coverage.error)]
-        ],
-    )

@@ -77,16 +77,23 @@ def aliases(model: Model, independent: Array) -> list[LieidWarning]:
     return found
 
 
-def bounds(design: Design, state: FitState) -> list[LieidWarning]:
-    """Return warnings about coefficients beyond their bounds and shapes at the end of a range."""
+def bounds(design: Design, least: FitState, state: FitState) -> list[LieidWarning]:
+    """Return warnings about coefficients beyond their bounds and shapes at the end of a range.
+
+    ``least`` has the least-squares values, ``state`` those of the fit, which a bound may limit.
+    """
     found: list[LieidWarning] = []
     model = design.model
-    for parameter, value in zip(model.base_columns, state.solution.values, strict=True):
-        if not parameter.lower <= value <= parameter.upper:
+    values = least.solution.values, state.solution.values
+    for parameter, free, value in zip(model.base_columns, *values, strict=True):
+        if not parameter.lower <= free <= parameter.upper:
+            what = "is outside its physical bounds"
+            if value != free:
+                what = f"is limited by its bound; least squares gives {free:.3g}, outside of"
             found.append(
                 BoundWarning(
-                    f"{parameter.label} = {value:.3g} {parameter.unit} is outside its physical "
-                    f"bounds [{parameter.lower:g}, {parameter.upper:g}]: another effect is "
+                    f"{parameter.label} = {value:.3g} {parameter.unit} {what} "
+                    f"[{parameter.lower:g}, {parameter.upper:g}]: another effect is "
                     "missing from the model, or this effect is not present"
                 )
             )

@@ -194,7 +194,7 @@ def identify_segments(
         rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
         certificate = certify(design, consistent, rms, rms_wls)
         found += consistent.warnings
-    found += fit_warnings.bounds(design, state)
+    found += fit_warnings.bounds(design, least, state)
     report("evaluate", 0.9)
     ends = None
     if uncertainty:

@@ -10,7 +10,6 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import (
-    BoundWarning,
     ConvergenceWarning,
     LieidWarning,
     NoSolution,
@@ -43,22 +42,6 @@ from lieid_casadi.identification.regression.least_squares import (
 from lieid_casadi.recording import Processed
 
 DRIVING = 0.1  # of a joint's noise: a warning is given if friction drives the joint by more
-
-
-def at_bounds(design: Design, start: FitState, state: FitState) -> list[LieidWarning]:
-    """Return warnings about coefficients that a bound keeps from the least-squares value."""
-    found: list[LieidWarning] = []
-    before, after = start.solution.values, state.solution.values
-    for parameter, free, held in zip(design.model.base_columns, before, after, strict=True):
-        if not parameter.lower <= free <= parameter.upper:
-            found.append(
-                BoundWarning(
-                    f"{parameter.label} = {held:.3g} {parameter.unit} is limited by its bound "
-                    f"[{parameter.lower:g}, {parameter.upper:g}]; least squares gives {free:.3g}: "
-                    "another effect is missing from the model, or this effect is not present"
-                )
-            )
-    return found
 
 
 def driving(design: Design, start: FitState, problem: FeasibleProblem) -> list[LieidWarning]:
@@ -127,7 +110,7 @@ def make_feasible(
                 "use method wls, or remove load-dependent effects"
             ),
         )
-    found = (*found, *at_bounds(design, start, state), *driving(design, start, problem))
+    found = (*found, *driving(design, start, problem))
     estimate = partial(solver.base_values, weight=weight)
     source = "cross-validation" if regularization is None else "given"
     return ConsistentFit(state, problem, weight, source, estimate, found)
