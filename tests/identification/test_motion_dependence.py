@@ -24,18 +24,6 @@ def test_varying_residual_has_a_ratio_above_one():
     assert motion_ratio_of(size * random.standard_normal(900), SURE, np.arange(900), 1.0, 30) > 1.3
 
 
-def test_the_ratio_grows_without_a_jump():
-    pattern = np.repeat(np.arange(30) % 3 - 1.0, 30)
-    sizes = np.linspace(0.0, 0.9, 2000)
-    ratios = [
-        motion_ratio_of(np.sqrt(1.0 + size * pattern), SURE, np.arange(900), 1.0, 30)
-        for size in sizes
-    ]
-    assert ratios[0] == 1.0
-    assert ratios[-1] > 1.3
-    assert np.max(np.diff(ratios)) < 0.05
-
-
 def test_rows_with_uncertain_friction_are_no_dependence_on_the_motion():
     random = np.random.default_rng(3)
     uncertain = np.arange(900) % 150 < 12

@@ -5,7 +5,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.compiled import kernels, triangular_factors
+from lieid_casadi.compiled import kernels
 from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.recording import Processing, process
@@ -29,11 +29,6 @@ def test_triangle_of_pieces_and_weights(compiled, monkeypatch):
     whole = np.column_stack([matrix, torque]) * weights[:, None]
     np.testing.assert_allclose(triangle.r.T @ triangle.r, whole.T @ whole, atol=1e-10)
     np.testing.assert_array_equal(np.tril(triangle.r, -1), 0.0)
-
-
-def test_triangular_is_at_most_square():
-    assert triangular_factors.triangular(np.ones((3, 2))).shape == (2, 2)
-    assert triangular_factors.triangular(np.zeros((0, 2))).shape == (0, 2)
 
 
 def recorded(duration, seed):
