@@ -24,6 +24,7 @@ from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import Round, search
+from lieid_casadi.diagnosis.smooth_functions import followed_signals
 from lieid_casadi.diagnosis.step import Fall, Step, Unexplained
 from lieid_casadi.diagnosis.steps import (
     Accepted,
@@ -65,8 +66,12 @@ def diagnose_changed(
     after, beyond = _errors(found, changes)
     steps = _steps(found, changes, first * expected, noise, options)
     ratio = np.where(np.isfinite(beyond), beyond, 0.0)
+    rest = _residuals(rows, expected, _torques(found, changes))
+    rest = [r / w for r, w in zip(rest, rows.weights(expected), strict=True)]
     parts = tuple(
-        Unexplained(int(j), float(1.0 - ratio[j] ** -2), float(ratio[j]))
+        Unexplained(
+            int(j), float(1.0 - ratio[j] ** -2), float(ratio[j]), followed_signals(rows, j, rest[j])
+        )
         for j in np.argsort(-ratio)
         if ratio[j] > options.largest_change
     )
@@ -170,8 +175,7 @@ def _reason(
     if reason is not None:
         return reason
     others = _fitted(found, [c.slot for c in changes if c is not change])
-    torques = [found.columns.stacked(c.slot.group) @ c.values for c in others]
-    if not (_misfit(found.rows, found.spread, torques) > most).any():
+    if not (_misfit(found.rows, found.spread, _torques(found, others)) > most).any():
         return "without it the error is as expected of the fit"
     fall = float(np.where(raised, _falls(found, changes, change), -np.inf).max(initial=-np.inf))
     if fall < options.worth_of_change:
@@ -221,14 +225,22 @@ def _by_joint(found: Round, rest: Array) -> Array:
     return np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in rows])
 
 
-def _misfit(rows: Rows, expected: Array, torques: Sequence[Array]) -> Array:
-    """Return each joint's error relative to the expected one (n,); NaN without rows."""
+def _torques(found: Round, changes: Sequence[_Change]) -> list[Array]:
+    """Return the weighted torque of each change on all rows."""
+    return [found.columns.stacked(c.slot.group) @ c.values for c in changes]
+
+
+def _residuals(rows: Rows, expected: Array, torques: Sequence[Array]) -> list[Array]:
+    """Return each joint's weighted residual (R_j,) of the kept model with some torques."""
     weights = rows.weights(expected)
     residual = np.concatenate([r * w for r, w in zip(rows.residual, weights, strict=True)])
-    for torque in torques:
-        residual = residual - torque
     ends = np.cumsum([run.count for run in rows.runs])[:-1]
-    parts = np.split(residual, ends)
+    return np.split(residual - sum(torques, start=np.zeros(len(residual))), ends)
+
+
+def _misfit(rows: Rows, expected: Array, torques: Sequence[Array]) -> Array:
+    """Return each joint's error relative to the expected one (n,); NaN without rows."""
+    parts = _residuals(rows, expected, torques)
     return np.array([np.sqrt(np.mean(p**2)) if len(p) else np.nan for p in parts])
 
 
@@ -237,7 +249,7 @@ def _errors(found: Round, changes: Sequence[_Change]) -> tuple[Array, Array]:
 
     First of the kept model, then without what the uncertainty of its parameters explains.
     """
-    torques = [found.columns.stacked(c.slot.group) @ c.values for c in changes]
+    torques = _torques(found, changes)
     rest = found.span.residual - sum(
         (found.span.outside(found.columns.stacked(c.slot.group)) @ c.values for c in changes),
         start=np.zeros(len(found.span.residual)),
@@ -254,7 +266,7 @@ def _steps(
 ) -> tuple[Step, ...]:
     groups = [c.slot.group for c in changes]
     accepted = [Accepted.of(found, c.slot, groups, options) for c in changes]
-    torques = [found.columns.stacked(c.slot.group) @ c.values for c in changes]
+    torques = _torques(found, changes)
     complete = _misfit(found.rows, found.spread, torques) * found.spread
     numbers = groups_of(accepted)
     size = np.array([np.sqrt(np.mean(t**2)) if len(t) else np.nan for t in found.rows.torque])

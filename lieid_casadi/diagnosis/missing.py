@@ -109,7 +109,11 @@ class MissingEffects:
         )
         steps = _with_formulas(steps_of(final, accepted, torque, after), final, last_rows)
         parts = unexplained_parts(
-            fitted, after, self.rejected, lambda j: followed_signals(last_rows, j), options
+            fitted,
+            after,
+            self.rejected,
+            lambda j: followed_signals(last_rows, j, last_rows.residual[j]),
+            options,
         )
         shown = after or fitted
         verdict = "effect_found" if steps else "sufficient"

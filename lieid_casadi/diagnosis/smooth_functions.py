@@ -64,11 +64,10 @@ def smooth_candidates(
     return list(found.values())
 
 
-def followed_signals(rows: Rows, joint: int) -> tuple[str, ...]:
-    """Return the one or two signals that a joint's residual follows most; ``t`` is time."""
+def followed_signals(rows: Rows, joint: int, residual: Array) -> tuple[str, ...]:
+    """Return the one or two signals that a joint's residual (R_j,) follows most; ``t`` is time."""
     basis, _ = np.linalg.qr(rows.model[joint])
-    residual = rows.residual[joint][:, None]
-    target = residual - basis @ (basis.T @ residual)
+    target = (residual - basis @ (basis.T @ residual))[:, None]
     target *= np.sqrt(len(target)) / max(float(np.linalg.norm(target)), 1e-300)
     polynomials = dict(_polynomials(rows, joint))
     known: dict[tuple[str, ...], Array] = {(a,): x for a, x in polynomials.items()}

@@ -214,7 +214,7 @@ def test_the_signals_that_an_error_follows_are_stated(torque, signals):
     fit = lieid.identify(MODEL, recording)
     segments = process([recording], fit.processing)
     rows = Rows.of(fit, segments, with_candidates=False)
-    assert followed_signals(rows, 0) == signals
+    assert followed_signals(rows, 0, rows.residual[0]) == signals
 
 
 def test_json_has_the_stated_keys():
