@@ -158,6 +158,7 @@ def extension_report(extension: Extension) -> str:
         f"{fit.model.robot.name}: model with {', '.join(extension.added)}",
         [
             table_section("", *extension_tables(extension), sentences=[sentence], titles=True),
+            *_next_commands([("use it in a controller", "lieid export fit2.json --to c -o code")]),
             picture_section("Error per joint", extension.plot(), note),
             _warnings(fit.warnings),
             *fit_sections(fit, named=added),

@@ -3,6 +3,16 @@
 import lieid_casadi as lieid
 from lieid_casadi.workbench.elements import figures
 
+# What the pointer can act on, as the elements that must have the focus for it; canvases apart: what
+# they do has fields and buttons beside them.
+ACTIONS = """
+const focusable = 'a[href], button, input, summary, [tabindex]:not([tabindex="-1"])';
+const acts = [...document.querySelectorAll('body *')].filter((e) => e.offsetParent
+  && getComputedStyle(e).cursor === 'pointer' && !e.closest('canvas, .disabled, [disabled]'));
+return [...new Set(acts.map((e) => e.closest(focusable)
+  ?? e.closest('.q-field')?.querySelector(focusable) ?? e))];
+"""
+
 
 def test_the_missing_effect_is_found_and_added(start, browse, two_link_files):
     server = start("two_link", *map(str, two_link_files))
@@ -29,6 +39,7 @@ def test_the_missing_effect_is_found_and_added(start, browse, two_link_files):
     page.click("redo")
     page.wait(lambda: page.number("error-1") == after, "redo")
     the_first_model_is_compared_with_it(page, before, after)
+    the_keyboard_reaches_every_action(page)
     the_atlas_describes_the_effect(page)
     page.check_layout("two_link_added")
     _only_own_requests(page, server)
@@ -43,6 +54,19 @@ def the_keyboard_selects_a_joint(page):
         page.driver.switch_to.active_element.send_keys(key)
         page.wait(lambda j=joint: "selected" in page.element(j).get_attribute("class"), joint)
         assert page.driver.switch_to.active_element.get_attribute("data-testid") == joint
+
+
+def the_keyboard_reaches_every_action(page):
+    """Tab visits all buttons, fields, joints, findings, steps and effects that can be seen."""
+    actions, seen = page.driver.execute_script(ACTIONS), set()
+    assert len(actions) > 25
+    page.driver.execute_script("document.activeElement.blur()")
+    for _ in range(3 * len(actions)):
+        active = page.driver.switch_to.active_element
+        seen.add(active)
+        active.send_keys("\t")
+    missed = [e.get_attribute("outerHTML")[:120] for e in actions if e not in seen]
+    assert missed == []
 
 
 def the_first_model_is_compared_with_it(page, before, after):
