@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
+from lieid_casadi.report import diagnosis_report
 from lieid_casadi.workbench.elements import figures
 
 pytestmark = pytest.mark.slow
@@ -272,6 +273,20 @@ def test_a_group_and_all_effects_are_added_with_one_click(start, browse, two_lin
     fit = lieid.Fit.load(page.downloaded("fit.json"))
     saved = lieid.compare(fit, lieid.Recording.load(two_link_files[1]))
     assert f"{figures(saved.rms_moving[0])} N·m" == shown  # the page and the file agree
+
+
+def test_tables_of_reports_fit_1000_pixels(browse, two_link_files, tmp_path):
+    train, test = map(lieid.Recording.load, two_link_files)
+    model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset")
+    found = lieid.diagnose(model, train, test)
+    file = tmp_path / "report.html"
+    file.write_text(diagnosis_report(found, lieid.compare(found.fit, test)))
+    page = browse(file.as_uri(), width=1000, height=900)
+    wide = """document.querySelectorAll('details').forEach((e) => { e.open = true; });
+    return [...document.querySelectorAll('body, section, details, td, pre')].filter(
+      (e) => e.scrollWidth > e.clientWidth + 1).map((e) => e.textContent.slice(0, 60));"""
+    assert len(page.driver.find_elements("css selector", "table")) > 4
+    assert page.driver.execute_script(wide) == []
 
 
 def test_two_hundred_clicks_hold_memory(start, browse, two_link_files):
