@@ -39,7 +39,7 @@ def fill(model, source, *, name="arm"):
 
     x = [q; dq], u = torque of the drives, p = link parameters (10,) of a body at the tool.
     """
-    arm = lieid.symbolic(source, smooth_velocity=SMOOTH, payload=True)
+    arm = lieid.symbolic(source, smooth_velocity=SMOOTH, free=["payload"])
     size, n = arm.f_explicit.size1_in("x"), arm.f_explicit.size1_in("u")
     model.name = name
     model.x, model.xdot = ca.SX.sym("x", size), ca.SX.sym("xdot", size)

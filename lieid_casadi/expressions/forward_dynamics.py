@@ -12,6 +12,7 @@ from lieid_casadi.expressions.torque import TorqueExpressions, named_function
 from lieid_casadi.robot.robot import Robot
 
 NEWTON_STEPS = 4  # of the unrolled solution; tests/expressions bounds its residual by 1e-9
+SINGULAR = 1e-14  # smallest over largest eigenvalue of a mass matrix that is singular
 RESIDUAL = 1e-9  # of the torque, at a solution
 POSES = 1000  # at which the mass matrix is tried
 
@@ -121,7 +122,8 @@ def indefinite_share(torque: TorqueExpressions) -> float:
         expression = ca.substitute(expression, torque.payload, ca.SX.zeros(10))
     mass = ca.Function("mass_matrix", [torque.motion.q], [ca.densify(expression)])
     matrices = mass(q.T).full().reshape(robot.n, len(q), robot.n).transpose(1, 0, 2)
-    return float(np.mean(np.linalg.eigvalsh(matrices)[:, 0] <= 0.0))
+    sizes = np.linalg.eigvalsh(matrices)
+    return float(np.mean(sizes[:, 0] <= SINGULAR * sizes[:, -1]))
 
 
 def unsolved_share(torque: TorqueExpressions) -> float:

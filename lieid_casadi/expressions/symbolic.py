@@ -129,12 +129,6 @@ class SymbolicDynamics:
         return self._function("friction", leading, {"tau": self._torque.friction})
 
     @cached_property
-    def energy(self) -> ca.Function:
-        """``(q, dq) -> kinetic, potential`` in J; the potential is 0 at the base's origin."""
-        kinetic, potential = self._torque.energy
-        return self._function("energy", ["q", "dq"], {"kinetic": kinetic, "potential": potential})
-
-    @cached_property
     def regressor(self) -> ca.Function:
         """``(q, dq, ddq) -> Y`` (n, 10 n): rigid torque per link parameter (Eq. 12)."""
         matrix = regressor(self.model.robot, self._torque.motion)
@@ -258,27 +252,38 @@ class SymbolicDynamics:
         return forward_dynamics.implicit(self._torque)
 
     def save(self, path: str | Path) -> None:
-        """Write the functions into one file: CasADi's own format, or C.
+        """Write the functions into one file in CasADi's own format.
 
         Parameters
         ----------
         path : str or Path
-            ``arm.casadi``: serialized; ``ca.FileDeserializer("arm.casadi").unpack()`` returns them
-            one by one in the order of `names`. ``arm.c``: the same as CasADi's generated C.
+            ``arm.casadi``: ``ca.FileDeserializer("arm.casadi").unpack()`` returns them one by one,
+            in the order of `names`.
 
         Raises
         ------
         ModelError
-            If the name ends in neither.
+            If the name ends otherwise.
         """
-        write_functions(Path(path), [getattr(self, name) for name in self.names])
+        from lieid_casadi.atomic_file import atomic_binary
+
+        if Path(path).suffix != ".casadi":
+            raise ModelError(f"{path}: expected a name that ends in .casadi")
+        with tempfile.TemporaryDirectory() as scratch:
+            made = Path(scratch) / "functions.casadi"
+            serializer = ca.FileSerializer(str(made))
+            for name in self.names:
+                serializer.pack(getattr(self, name))
+            del serializer  # closes the file
+            with atomic_binary(path) as file:
+                file.write(made.read_bytes())
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the functions that `save` writes, in order."""
         return (
             "inverse_dynamics", "forward_dynamics", "forward_dynamics_derivatives", "mass_matrix",
-            "coriolis", "gravity", "friction", "energy", "regressor", "base_regressor",
+            "coriolis", "gravity", "friction", "regressor", "base_regressor",
             "forward_kinematics", "jacobian", "f_explicit", "f_implicit", "link_mass_matrix",
             "rigid_torque",
         )  # fmt: skip
@@ -310,31 +315,6 @@ class SymbolicDynamics:
         )
 
 
-def write_functions(path: Path, functions: Sequence[ca.Function]) -> None:
-    """Write functions into one file by its suffix, ``.casadi`` or ``.c``.
-
-    Raises `ModelError` if the name ends in neither.
-    """
-    from lieid_casadi.atomic_file import atomic_binary
-
-    if path.suffix not in (".casadi", ".c"):
-        raise ModelError(f"{path}: expected a name that ends in .casadi or .c")
-    with tempfile.TemporaryDirectory() as scratch:
-        made = Path(scratch) / f"{path.stem}{path.suffix}"
-        if path.suffix == ".casadi":
-            serializer = ca.FileSerializer(str(made))
-            for function in functions:
-                serializer.pack(function)
-            del serializer  # closes the file
-        else:
-            generator = ca.CodeGenerator(made.name, {"with_header": False})
-            for function in functions:
-                generator.add(function)
-            generator.generate(f"{scratch}/")
-        with atomic_binary(path) as file:
-            file.write(made.read_bytes())
-
-
 class FittedModel(Protocol):
     """What `symbolic` uses of a fit."""
 
@@ -364,8 +344,6 @@ def symbolic(
     *,
     smooth_velocity: ArrayLike | None = None,
     as_measured: bool = False,
-    payload: bool = False,
-    free_parameters: bool = False,
     free: Sequence[str] = (),
     allow_indefinite: bool = False,
 ) -> SymbolicDynamics:
@@ -386,15 +364,12 @@ def symbolic(
         Whether the torque is what the sensor reads, with the model's measurement effects (gain,
         encoder offset), instead of what the drives deliver. The positions are then those that the
         encoders read. Effects on the whole arm (payload, tilt, wrench) are always included.
-    payload : bool
-        Whether a body at the tool is a further input: its ten link parameters in the tool frame.
-    free_parameters : bool
-        With a fit: whether link parameters, coefficients and shapes are inputs, as with a model.
     free : sequence of str
-        With a fit or a robot: groups of parameters that are inputs, each a vector of its own, such
-        as ``["friction:3", "payload", "link6"]``: effects of single joints without armature (of
-        joint 3, from 1), a body at the tool, the ten parameters of a link, or an effect by its
-        name. ``result.free`` has the labels and the identified values of each input.
+        Groups of parameters that are inputs, each a vector of its own, such as ``["friction:3",
+        "payload", "link6"]``: effects of single joints without armature (of joint 3, from 1), a
+        body at the tool (ten link parameters in the tool frame), the ten parameters of a link, or
+        an effect by its name. ``result.free`` has the labels and the identified values of each
+        input. With a model all parameters are inputs, and ``payload`` alone may be added.
     allow_indefinite : bool
         Whether forward dynamics are given although the mass matrix is not positive definite in
         some poses within the joint limits.
@@ -427,7 +402,7 @@ def symbolic(
     if isinstance(free, str):
         free = free.split(",")
     groups = [group.strip() for group in free if group.strip() != "payload"]
-    payload = payload or len(groups) < len(list(free))
+    payload = len(groups) < len(list(free))
     if isinstance(source, Robot):
         model = Model(source)
         values = Values.numbers(source.link_parameters, np.zeros(0), np.zeros(0))
@@ -435,9 +410,9 @@ def symbolic(
         model, values = source, Values.symbols(source)
     else:
         model = source.model
-        mean = source.temperature_mean
-        values = Values.symbols(model, mean) if free_parameters else Values.numbers(
-            source.link_parameters, source.effect_coefficients, source.shapes, mean
+        values = Values.numbers(
+            source.link_parameters, source.effect_coefficients, source.shapes,
+            source.temperature_mean,
         )  # fmt: skip
     if groups and not values.numeric:
         raise ModelError("free: all parameters are inputs already; expected a fit or a robot")

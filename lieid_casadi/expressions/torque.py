@@ -427,18 +427,6 @@ class TorqueExpressions:
         """Time derivatives (S,) of the states of effects with memory, in continuous time."""
         return self.model.state_rates(self._signals, self.values.shapes, self.states)
 
-    @cached_property
-    def energy(self) -> tuple[ca.SX, ca.SX]:
-        """Kinetic energy, armature included, and potential energy of the links, J."""
-        m, links = self.motion, self.all_links
-        kinetic = ca.mtimes([m.dq.T, self.mass_matrix, m.dq]) / 2
-        potential = ca.SX(0)
-        for i, pose in enumerate(recursion.link_poses(self.model.robot, m)):
-            link = links[10 * i : 10 * i + 10]
-            moment = link[0] * pose.translation + ca.mtimes(pose.rotation, link[1:4])
-            potential -= ca.dot(constant(self.model.robot.gravity), moment)
-        return kinetic, potential
-
 
 def with_body(links: ca.SX, body: ca.SX, model: Model) -> ca.SX:
     """Return link parameters (10 n,) with those of a body (10,) in the tool frame added."""

@@ -73,18 +73,6 @@ def symmetric(upper):
     return np.triu(upper) + np.triu(upper, 1).T
 
 
-def test_energy(arm, functions):
-    """The potential energy up to a constant."""
-    model, data = arm.pinocchio, arm.pinocchio.createData()
-    for q, dq, _ in arm.moments[:3]:
-        kinetic, potential = functions.energy(q, dq)
-        assert_close(kinetic, [[pin.computeKineticEnergy(model, data, q, dq)]])
-        theirs = pin.computePotentialEnergy(model, data, q)
-        theirs -= pin.computePotentialEnergy(model, data, 0 * q)
-        ours = potential - functions.energy(0 * q, dq)[1]
-        np.testing.assert_allclose(float(ours), theirs, atol=1e-11)
-
-
 def test_coriolis_matrix_is_passive(arm, functions):
     """Ṁ − 2C is skew-symmetric, with Ṁ by CasADi's directional derivative."""
     q, dq = ca.SX.sym("q", arm.robot.n), ca.SX.sym("dq", arm.robot.n)

@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from exporters.c_arms import BUILDS, WARNINGS, library, made_fit, pointer, run, sample_type
+from exporters.c_arms import library, made_fit, pointer, sample_type
 from robot.random_arms import random_arm
 
 import lieid_casadi as lieid
@@ -81,26 +81,6 @@ def test_torque_is_that_of_predict(name, tmp_path):
             np.testing.assert_allclose(got, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())
 
 
-def test_columns_times_coefficients_are_the_friction(tmp_path):
-    (fit,) = arms("all")
-    functions = ["torque", "effect_torque", "effect_columns", "base_regressor"]
-    arm, recording = Arm(fit, tmp_path / "arm", functions), next(short_recordings(7))
-    m, p = len(fit.model.columns), fit.model.base.count
-    compiled = lieid.compile(fit.model)
-    load = compiled.inverse_dynamics(
-        recording.q, recording.dq, recording.ddq, fit.link_parameters
-    )  # fmt: skip
-    for k in range(SHORT):
-        given = pointer(load[k])
-        friction = arm.at(recording, k, "effect_torque", given)
-        columns = arm.at(recording, k, "effect_columns", given, width=m).reshape(7, m)
-        base = arm.at(recording, k, "base_regressor", given, width=p).reshape(7, p)
-        whole = arm.torque(recording)[k]
-        np.testing.assert_allclose(columns @ fit.effect_coefficients, friction, atol=1e-10)
-        np.testing.assert_allclose(load[k] + friction, whole, atol=1e-10)
-        np.testing.assert_allclose(base @ fit.values, whole, atol=1e-9)
-
-
 def test_torque_is_that_of_a_simulated_arm_with_the_effect(tmp_path):
     """Compared with simulated arms, not with columns of this package."""
     robot = random_arm(np.random.default_rng(6), 4, mixed=False)
@@ -130,20 +110,6 @@ def test_torque_is_that_of_a_simulated_arm_with_the_effect(tmp_path):
         exact = lieid.Recording.from_arrays(t, recording.q, motion[1], recording.tau, ddq=motion[2])
         error = arm.torque(exact) - recording.tau
         assert np.abs(error).max() < 1e-6, label
-
-
-@pytest.mark.parametrize(
-    "build",
-    ["gcc", "clang++", "sanitizers"],
-)
-@pytest.mark.slow  # the values are compared by the tests above
-def test_strict_build_agrees_with_python(build, tmp_path):
-    fit = made_fit(tooled(PANDA), f"{FRICTION},presliding:1,{EFFECTS['all']},torque_delay:2")
-    export(fit, tmp_path / "arm", to="c")
-    sources = [f"arm{ending}.c" for ending in ("", "_parameters", "_test")]
-    run([*BUILDS[build], *WARNINGS, *sources, "-lm", "-o", "t"], tmp_path / "arm")
-    shown = run([str(tmp_path / "arm" / "t")], tmp_path / "arm")
-    assert shown.endswith("0 of the above differ by more than 1e-12\n")
 
 
 def test_notes_name_what_is_not_exported(tmp_path):

@@ -140,31 +140,6 @@ def test_names_stay_inside_comments(tmp_path):
         run([*BUILDS[build], *WARNINGS, *files(tmp_path), "-lm", "-o", "t"], tmp_path / "arm")
 
 
-def test_header_names_every_parameter(exported):
-    text = (exported / "arm.h").read_text(encoding="utf-8")
-    fit = ARMS[exported.name]()
-    for parameter in (*fit.model.base_columns, *fit.model.columns, *fit.model.states):
-        assert f"{parameter.label} [" in text or f"{parameter.label}, " in text
-    for joint in fit.model.robot.joints:
-        assert joint.name in text
-
-
-def test_constants_are_the_fit(exported):
-    fit, loaded = ARMS[exported.name](), library(exported, files=["arm_parameters.c"])
-    from exporters.c_arms import constants
-
-    for name, numbers in (
-        ("link_parameters", fit.link_parameters),
-        ("base_parameters", fit.values),
-        ("effect_coefficients", fit.effect_coefficients),
-        ("shapes", fit.shapes),
-    ):
-        if len(numbers):
-            assert (constants(loaded, f"arm_{name}", len(numbers)) == numbers).all()
-        else:
-            assert not hasattr(loaded, f"arm_{name}")
-
-
 @pytest.mark.real
 @pytest.mark.parametrize(
     "urdf",

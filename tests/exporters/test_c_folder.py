@@ -7,7 +7,7 @@ from exporters.c_arms import ARMS, made_fit
 
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
-from lieid_casadi.errors import ExportError, OutputError
+from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.export import export
 from lieid_casadi.output_folder import MANIFEST, write_folder
 
@@ -40,15 +40,6 @@ def test_all_files_and_nothing_else(fit, tmp_path):
     assert names(tmp_path / "new") == {"arm"}
     export(fit, tmp_path / "empty", prefix="left2", to="c")
     assert "left2_test.c" in names(tmp_path / "empty")
-
-
-def test_an_earlier_export_is_replaced_only_by_force(fit, tmp_path):
-    export(fit, tmp_path / "arm", prefix="left", to="c")
-    with pytest.raises(OutputError, match="arm: not empty; expected a new folder, or --force"):
-        export(fit, tmp_path / "arm", to="c")
-    export(fit, tmp_path / "arm", force=True, to="c")
-    assert names(tmp_path / "arm") == FILES
-    assert names(tmp_path) == {"arm"}
 
 
 @pytest.mark.parametrize("prefix", ["", "2arm", "my-arm", "a b", "é", "arm;"])
@@ -128,13 +119,6 @@ def test_command_writes_c(fit_file, tmp_path, capsys):
     force = ["--force", "--prefix", "scara"]
     assert main(["export", str(fit_file), "--to", "c", "-o", str(out), *force]) == 0
     assert "scara.h" in names(out)
-
-
-def test_saved_fit_is_exported_bit_by_bit(fit, fit_file, tmp_path):
-    export(fit, tmp_path / "a", to="c")
-    assert main(["export", str(fit_file), "--to", "c", "-o", str(tmp_path / "b")]) == 0
-    for name in ("arm.c", "arm_parameters.c", "arm_test.c"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,7 @@ def test_numbers_are_those_of_symbolic(tmp_path):
     fit = made_fit(lieid.robots.two_link(), "coulomb,viscous,armature,stribeck:2")
     exported, dynamics = (
         Numbers(fit, tmp_path / "arm"),
-        lieid.symbolic(fit, free_parameters=True, payload=True),
+        lieid.symbolic(fit.model, free=["payload"]),
     )
     numbers, random = exported.type(), np.random.default_rng(2)
     exported.c.arm_nominal(ctypes.byref(numbers))

@@ -78,7 +78,7 @@ def test_whole_arm_effects_with_symbols():
     effects = "coulomb,payload,base_tilt,external_wrench"
     symbols = [ca.SX.sym(name) for name in VALUES]
     functions = [
-        lieid.symbolic(lieid.Model(robot, effects), payload=True).inverse_dynamics
+        lieid.symbolic(lieid.Model(robot, effects), free=["payload"]).inverse_dynamics
         for robot in (arm_of(*symbols), arm_of(*VALUES.values()))
     ]
     random = np.random.default_rng(2)
