@@ -1,4 +1,4 @@
-"""Mutations of binary containers: gzip, NPZ, Parquet, MCAP, ROS 1 bags and SQLite."""
+"""Mutations of binary containers: gzip, NPZ, Parquet, MCAP and SQLite."""
 
 from __future__ import annotations
 
@@ -139,11 +139,6 @@ def mutate_mcap(data: bytes, rng: random.Random) -> bytes:
     return _changed_records(data, rng, len(MCAP_MAGIC), _mcap_records)
 
 
-def mutate_bag(data: bytes, rng: random.Random) -> bytes:
-    """Return a ROS 1 bag with one of its records changed, removed, repeated or moved."""
-    return _changed_records(data, rng, data.find(b"\n") + 1, _bag_records)
-
-
 def _changed_records(
     data: bytes,
     rng: random.Random,
@@ -185,18 +180,6 @@ def _with_integer(record: bytes, rng: random.Random) -> bytes:
 def _mcap_records(data: bytes, place: int) -> Iterator[tuple[int, int]]:
     while place + 9 <= len(data) - len(MCAP_MAGIC):
         end = place + 9 + int(struct.unpack_from("<Q", data, place + 1)[0])
-        if end > len(data):
-            return
-        yield place, end
-        place = end
-
-
-def _bag_records(data: bytes, place: int) -> Iterator[tuple[int, int]]:
-    while place + 4 <= len(data):
-        body = place + 4 + int(struct.unpack_from("<I", data, place)[0])
-        if body + 4 > len(data):
-            return
-        end = body + 4 + int(struct.unpack_from("<I", data, body)[0])
         if end > len(data):
             return
         yield place, end

@@ -124,7 +124,6 @@ FORMATS = {
         Format("npz", "run.npz", seeds.npz, container_mutations.mutate_npz, _use_recording),
         Format("parquet", "run.parquet", seeds.parquet, mutate_parquet, _use_recording),
         Format("mcap", "run.mcap", seeds.mcap, container_mutations.mutate_mcap, _use_recording),
-        Format("bag", "run.bag", seeds.ros1_bag, container_mutations.mutate_bag, _use_recording),
         Format("db3", "run.db3", seeds.ros2_database, container_mutations.mutate_sqlite,
                _use_recording),
         Format("ros2", "metadata.yaml", seeds.ros2_metadata, text_mutations.mutate_yaml,

@@ -131,19 +131,6 @@ def mcap() -> list[bytes]:
 
 
 @cache
-def ros1_bag() -> list[bytes]:
-    """ROS 1 bags: plain, bz2 and lz4."""
-    messages = bag_files.arm_messages(plain_recording())
-    formats = bag_files.Writer1.CompressionFormat
-    made = []
-    with tempfile.TemporaryDirectory() as folder:
-        for k, compression in enumerate((None, formats.BZ2, formats.LZ4)):
-            path = Path(folder) / f"{k}.bag"
-            made.append(bag_files.write_ros1(path, messages, compression).read_bytes())
-    return made
-
-
-@cache
 def ros2_database() -> list[bytes]:
     """The SQLite database of a ROS 2 bag."""
     return [ros2_bag()["bag.db3"]]

@@ -5,27 +5,23 @@ from pathlib import Path
 import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
-from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
-STORE1 = get_typestore(Stores.ROS1_NOETIC)
 NAMES = ["shoulder", "elbow"]
 START = 1_700_000_000_000_000_000
 MESSAGE = "sensor_msgs/msg/JointState"
 
 
 def joint_state(store, time, names, q, dq, tau, stamped):
-    """A JointState message of a type store; ROS 1 headers have a sequence number as well."""
+    """A JointState message of a type store."""
     sec, nanosec = divmod(time if stamped else 0, 1_000_000_000)
-    sequence = {"seq": 0} if store is STORE1 else {}
     empty = np.zeros(0)
     return store.types[MESSAGE](
         header=store.types["std_msgs/msg/Header"](
             stamp=store.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec),
             frame_id="",
-            **sequence,
         ),
         name=list(names),
         position=np.asarray(q, dtype=float),
@@ -46,22 +42,6 @@ def write(path: Path, messages, plugin=StoragePlugin.SQLITE3, compression=None):
         }
         for topic, time, *rest in messages:
             raw = STORE.serialize_cdr(joint_state(STORE, time, *rest), MESSAGE)
-            writer.write(connections[topic], time, raw)
-    return path
-
-
-def write_ros1(path: Path, messages, compression=None):
-    """ROS 1 bag file with the same messages."""
-    writer = Writer1(path)
-    if compression is not None:
-        writer.set_compression(compression)
-    with writer:
-        connections = {
-            topic: writer.add_connection(topic, MESSAGE, typestore=STORE1)
-            for topic in sorted({m[0] for m in messages})
-        }
-        for topic, time, *rest in messages:
-            raw = STORE1.serialize_ros1(joint_state(STORE1, time, *rest), MESSAGE)
             writer.write(connections[topic], time, raw)
     return path
 
@@ -95,9 +75,7 @@ __all__ = [
     "START",
     "CompressionMode",
     "StoragePlugin",
-    "Writer1",
     "arm_messages",
     "write",
-    "write_ros1",
     "write_unchunked_mcap",
 ]

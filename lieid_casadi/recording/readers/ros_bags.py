@@ -1,8 +1,7 @@
-"""Recordings as ROS 2 bags, MCAP files and ROS 1 bags of JointState (extra ``[ros]``)."""
+"""Recordings as ROS 2 bags and MCAP files of JointState (extra ``[ros]``)."""
 
 from __future__ import annotations
 
-import bz2
 import struct
 import sys
 from collections.abc import Callable, Iterator
@@ -96,7 +95,7 @@ def _is_bag(folder: Path) -> bool:
     return (folder / "metadata.yaml").is_file()
 
 
-FORMAT = RecordingFormat(suffixes=(".mcap", ".bag", ".db3"), read=read_bag, folder=_is_bag)
+FORMAT = RecordingFormat(suffixes=(".mcap", ".db3"), read=read_bag, folder=_is_bag)
 
 
 def _messages(file: Path, options: ReadOptions) -> Iterator[_JointState]:
@@ -108,23 +107,24 @@ def _messages(file: Path, options: ReadOptions) -> Iterator[_JointState]:
             f"{file}: bags and MCAP need rosbags: pip install 'lieid-casadi[ros]'"
         ) from error
     require_bounded(file, options.inflate_limit)
-    with library_errors(file, EXPECTED):
-        store = _type_store(file.suffix.lower() == ".bag")
-        with AnyReader([file], default_typestore=store) as reader:
-            chosen = _topic(file, reader, options.topic)
-            connections = [
-                c for c in reader.connections if str(c.topic) == chosen and c.msgtype == MESSAGE
-            ]
-            for connection, arrival, raw in reader.messages(connections=connections):
-                yield _joint_state(arrival, reader.deserialize(raw, connection.msgtype))
+    with (
+        library_errors(file, EXPECTED),
+        AnyReader([file], default_typestore=_type_store()) as reader,
+    ):
+        chosen = _topic(file, reader, options.topic)
+        connections = [
+            c for c in reader.connections if str(c.topic) == chosen and c.msgtype == MESSAGE
+        ]
+        for connection, arrival, raw in reader.messages(connections=connections):
+            yield _joint_state(arrival, reader.deserialize(raw, connection.msgtype))
 
 
 @cache
-def _type_store(ros1: bool) -> Any:
+def _type_store() -> Any:
     """Return the message types for bags that do not define their own."""
     from rosbags.typesys import Stores, get_typestore
 
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
+    return get_typestore(Stores.LATEST)
 
 
 def _joint_state(arrival: int, message: Any) -> _JointState:
@@ -176,10 +176,10 @@ def _chunks(file: Path) -> Iterator[tuple[str, bytes]]:
     suffix = file.suffix.lower()
     if suffix == ".zstd":
         yield "zstd", file.read_bytes()
-    elif suffix in (".mcap", ".bag") and file.stat().st_size:
+    elif suffix == ".mcap" and file.stat().st_size:
         with file.open("rb") as raw, mmap(raw.fileno(), 0, access=ACCESS_READ) as data:
             try:
-                yield from _mcap_chunks(data) if suffix == ".mcap" else _ros1_chunks(data)
+                yield from _mcap_chunks(data)
             except (struct.error, ValueError):
                 return  # damaged: rosbags reports it
 
@@ -197,19 +197,6 @@ def _mcap_chunks(data: mmap) -> Iterator[tuple[str, bytes]]:
         place = start + size
 
 
-def _ros1_chunks(data: mmap) -> Iterator[tuple[str, bytes]]:
-    place = data.find(b"\n") + 1
-    while place + 4 <= len(data):
-        header_size = int(struct.unpack_from("<I", data, place)[0])
-        header = data[place + 4 : place + 4 + header_size]
-        start = place + 8 + header_size
-        size = int(struct.unpack_from("<I", data, start - 4)[0])
-        for name in ("lz4", "bz2"):
-            if b"compression=" + name.encode() in header:
-                yield name, data[start : start + size]
-        place = start + size
-
-
 def _inflated_bytes(data: bytes, compression: str, most: int) -> int:
     """Return the inflated size, counted up to ``most``; 0 of damaged data."""
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
@@ -219,7 +206,6 @@ def _inflated_bytes(data: bytes, compression: str, most: int) -> int:
     else:
         from backports import zstd
     streams: dict[str, Callable[[], Any]] = {
-        "bz2": bz2.BZ2Decompressor,
         "lz4": LZ4FrameDecompressor,
         "zstd": zstd.ZstdDecompressor,
     }
