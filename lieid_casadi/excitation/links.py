@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from copy import deepcopy
 from dataclasses import dataclass
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from threading import Lock
 from typing import Any, Literal
 from xml.etree import ElementTree
 
@@ -20,6 +16,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot import Robot
+from lieid_casadi.robot.urdf import captured
 from lieid_casadi.robot.yaml_text import FARTHEST, Field
 
 SKELETON_RADIUS = 0.06  # of the arm's length, where there is no geometry
@@ -174,7 +171,7 @@ class _UrdfModel:
                 joint.set("type", "revolute")
             ElementTree.SubElement(joint, "limit", WIDE)
         try:
-            with _silenced():
+            with captured():
                 full = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
         except (ValueError, RuntimeError):
             return None
@@ -186,30 +183,6 @@ class _UrdfModel:
     def link_of(self, joint: int) -> int:
         """Return the link (0 for the base) that a joint of the reduced model moves."""
         return self.links.get(self.reduced.names[joint], 0)
-
-
-_silence = Lock()  # the descriptors belong to the process
-
-
-@contextmanager
-def _silenced() -> Iterator[None]:
-    """Discard what native libraries write to the file descriptors 1 and 2, past ``sys.stderr``."""
-    with _silence, open(os.devnull, "wb") as nowhere:
-        copies = {}
-        for descriptor in (1, 2):
-            with suppress(OSError):  # closed, as in a service without a terminal
-                copies[descriptor] = os.dup(descriptor)
-        try:
-            for stream in (sys.stdout, sys.stderr):
-                if stream is not None:
-                    stream.flush()
-            for descriptor in copies:
-                os.dup2(nowhere.fileno(), descriptor)
-            yield
-        finally:
-            for descriptor, copy in copies.items():
-                os.dup2(copy, descriptor)
-                os.close(copy)
 
 
 def fixed_frames(robot: Robot) -> list[tuple[str, int, Array]]:
@@ -244,7 +217,7 @@ def collision_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
             unknown += [name] if link.find("visual") is not None else []
             continue
         try:
-            with _silenced():
+            with captured():
                 every = pin.buildGeomFromUrdfString(
                     model.full, _with_shapes_of(model.root, name), pin.GeometryType.COLLISION,
                     None, _package_folders(),

@@ -1,15 +1,15 @@
-"""A serial arm from a URDF: its links and joints as checked data, and the chain to the tip.
-
-Every number is checked by the names of the link or joint: URDF libraries drop what they cannot
-read and continue without it.
-"""
+"""A serial arm from a URDF, whose kinematic tree Pinocchio evaluates."""
 
 from __future__ import annotations
 
-import math
-import re
-from collections.abc import Sequence
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from threading import Lock
+from typing import Any, BinaryIO
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,62 +21,11 @@ from lieid_casadi.errors import (
     NominalInertiaWarning,
     RobotError,
 )
-from lieid_casadi.robot.description import (
-    MOST_JOINTS,
-    NOT_STATED,
-    Joint,
-    Limits,
-    RobotDescription,
-    RobotSource,
-)
-from lieid_casadi.robot.geometry import Geometry, pose, relative
-from lieid_casadi.robot.inertia import (
-    impossible_moments,
-    link_parameters,
-    parameter_transport,
-    symmetric,
-)
+from lieid_casadi.robot.description import MOST_JOINTS, Joint, RobotDescription, RobotSource
+from lieid_casadi.robot.inertia import impossible_moments
+from lieid_casadi.robot.urdf_elements import INERTIA, UrdfJoint, UrdfLink, read_elements
 
-Element = ElementTree.Element
-
-MOVABLE = ("revolute", "continuous", "prismatic")
-MOST = 1000  # links, and joints
-LARGEST = 1e12  # of any number, SI: products of a few of them stay far below overflow
-FARTHEST = 1e6  # m, rad
-LEAST_AXIS, LONGEST_AXIS = 1e-6, 1e6  # length of an axis before it is normalized
-INERTIA = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
-
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-_UNLIMITED = ("inf", "+inf", "-inf", "infinity", "+infinity", "-infinity")
-
-
-@dataclass(frozen=True, eq=False)
-class UrdfLink:
-    """A link; ``com`` (4, 4) is the pose of its inertia, ``inertia`` (6,) as in `INERTIA`."""
-
-    name: str
-    mass: float
-    com: Geometry
-    inertia: Array
-
-
-@dataclass(frozen=True, eq=False)
-class UrdfJoint:
-    """A joint; ``pose`` (4, 4) of its frame in the parent link, ``axis`` (3,) of unit length."""
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    pose: Geometry
-    axis: Array
-    limits: Limits
-    mimics: str
-
-    @property
-    def movable(self) -> bool:
-        """Whether the joint has a degree of freedom."""
-        return self.kind in MOVABLE
+WIDE = "1e6"  # for limits that Pinocchio requires; the stated limits are read separately
 
 
 def read_urdf(
@@ -85,18 +34,19 @@ def read_urdf(
     """Return the serial arm that a URDF describes.
 
     The chain runs from the root link to ``tip``. Joints in ``lock``, and joints on branches
-    off the chain, are locked at zero and their links lumped into the link that carries them.
-    Meshes are not read.
+    off the chain, are locked at zero and their links lumped into the link that carries them,
+    as in Pinocchio's reduced model. Meshes are not read.
     """
     root = _xml(text, origin)
     links, joints = read_elements(root, origin)
     parents = check_tree(joints, [link.name for link in links], origin)
     chain = serial_chain(joints, parents, tip=tip, lock=lock, origin=origin)
     last = tip_link(joints, chain, tip)
-    made, tool = _arm(links, joints, parents, chain, last, origin)
+    model, tool = _reduced_model(links, joints, chain, last, origin)
     return RobotDescription(
         name=root.get("name") or "robot",
-        joints=made,
+        joints=_joints(model, chain),
+        gravity=np.array(model.gravity.linear),
         tool=tool,
         source=RobotSource("urdf", text, tip, tuple(lock)),
         warnings=(*_inertia_warnings(links, origin), *_mimic_warnings(joints, origin)),
@@ -104,208 +54,136 @@ def read_urdf(
     )
 
 
-def _arm(
+def _xml(text: str, origin: str) -> ElementTree.Element:
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise RobotError(f"{origin}: not a URDF: found a document type or entity definition")
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise RobotError(f"{origin}: not XML: {error}") from None
+    if root.tag != "robot":
+        found = root.tag[:60]
+        raise RobotError(f"{origin}: not a URDF: root element is <{found}>, expected <robot>")
+    return root
+
+
+def _mimic_warnings(joints: Sequence[UrdfJoint], origin: str) -> list[LieidWarning]:
+    """Return warnings of joints that follow others; in the chain they are refused before."""
+    return [
+        MimicJointWarning(
+            f"{origin}: joint {joint.name!r} mimics {joint.mimics!r}, which is not modelled: it is "
+            "kept at zero"
+        )
+        for joint in joints
+        if joint.mimics and joint.movable
+    ]
+
+
+def _inertia_warnings(links: Sequence[UrdfLink], origin: str) -> list[LieidWarning]:
+    warnings: list[LieidWarning] = []
+    for link in links:
+        xx, xy, xz, yy, yz, zz = link.inertia
+        central = [0.0, 0.0, 0.0, 0.0, xx, xy, yy, xz, yz, zz]
+        fault = impossible_moments(central)
+        if fault is not None:
+            warnings.append(
+                NominalInertiaWarning(
+                    f"{origin}: link {link.name!r}: its inertia has {fault} which is physically "
+                    "impossible"
+                )
+            )
+    return warnings
+
+
+def _reduced_model(
     links: Sequence[UrdfLink],
     joints: Sequence[UrdfJoint],
-    parents: dict[str, UrdfJoint],
     chain: Sequence[UrdfJoint],
     tip: str,
     origin: str,
-) -> tuple[tuple[Joint, ...], Geometry]:
-    """Return the joints of the chain, and the tip's pose (4, 4) in the last link."""
-    numbers = {joint.name: k for k, joint in enumerate(chain)}
-    below: dict[str, list[UrdfJoint]] = {}
-    for joint in joints:
-        below.setdefault(joint.parent, []).append(joint)
-    (root,) = (link.name for link in links if link.name not in parents)
-    frames, carrier = {root: np.eye(4)}, {root: -1}  # at zero; joint of the chain that moves it
-    waiting = [root]
-    while waiting:
-        link = waiting.pop()
-        for joint in below.get(link, ()):
-            frames[joint.child] = frames[link] @ joint.pose
-            carrier[joint.child] = numbers.get(joint.name, carrier[link])
-            waiting.append(joint.child)
-    if carrier[tip] != len(chain) - 1:
+) -> tuple[Any, Array]:
+    """Return Pinocchio's model of the chain alone and the tip's pose (4, 4) in the last link."""
+    import pinocchio as pin
+
+    numbers = {link.name: k for k, link in enumerate(links)}
+    with captured() as output:
+        try:
+            full = pin.buildModelFromXML(_numbered_urdf(numbers, links, joints))
+        except (ValueError, RuntimeError) as error:
+            reason = " ".join(f"{error} {output.text}".split())[:200]
+            raise RobotError(f"{origin}: Pinocchio cannot read it: {reason}") from None
+    kept = {joint.name for joint in chain}
+    locked = [
+        full.getJointId(f"joint{k}")
+        for k, joint in enumerate(joints)
+        if joint.movable and joint.name not in kept
+    ]
+    model = pin.buildReducedModel(full, locked, np.zeros(full.nq))
+    frame = model.frames[model.getFrameId(f"link{numbers[tip]}", pin.FrameType.BODY)]
+    if frame.parentJoint != model.njoints - 1:
         raise RobotError(f"{origin}: link {tip!r} does not move with the last joint of the chain")
-    carried = np.zeros((len(chain), 10))
-    for element in links:
-        k = carrier[element.name]
-        if k >= 0:
-            body = relative(frames[chain[k].child], frames[element.name] @ element.com)
-            own = link_parameters(element.mass, np.zeros(3), symmetric(element.inertia))
-            carried[k] += parameter_transport(body) @ own
-    made = []
-    for joint, link_inertia in zip(chain, carried, strict=True):
-        home = frames[joint.child]
-        axis, still = home[:3, :3] @ joint.axis, np.zeros(3)
-        turning = np.concatenate([axis, np.cross(home[:3, 3], axis)])
-        made.append(
+    return model, np.array(frame.placement.homogeneous)
+
+
+def _numbered_urdf(
+    numbers: dict[str, int], links: Sequence[UrdfLink], joints: Sequence[UrdfJoint]
+) -> str:
+    """Return a URDF of the checked numbers alone, elements named by their numbers.
+
+    Each movable joint has one coordinate, and no name can clash with one of Pinocchio's.
+    """
+    root = ElementTree.Element("robot", name="robot")
+    for k, link in enumerate(links):
+        element = ElementTree.SubElement(root, "link", name=f"link{k}")
+        if link.mass > 0.0 or link.inertia.any():
+            inertial = ElementTree.SubElement(element, "inertial")
+            _add_pose(inertial, link.com_xyz, link.com_rpy)
+            ElementTree.SubElement(inertial, "mass", value=repr(link.mass))
+            six = {name: repr(float(x)) for name, x in zip(INERTIA, link.inertia, strict=True)}
+            ElementTree.SubElement(inertial, "inertia", six)
+    for k, joint in enumerate(joints):
+        kind = "revolute" if joint.kind == "continuous" else joint.kind
+        element = ElementTree.SubElement(root, "joint", name=f"joint{k}", type=kind)
+        _add_pose(element, joint.xyz, joint.rpy)
+        ElementTree.SubElement(element, "parent", link=f"link{numbers[joint.parent]}")
+        ElementTree.SubElement(element, "child", link=f"link{numbers[joint.child]}")
+        if joint.movable:
+            ElementTree.SubElement(element, "axis", xyz=_text(joint.axis))
+            wide = {"lower": f"-{WIDE}", "upper": WIDE, "effort": WIDE, "velocity": WIDE}
+            ElementTree.SubElement(element, "limit", wide)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _add_pose(element: ElementTree.Element, xyz: Array, rpy: Array) -> None:
+    ElementTree.SubElement(element, "origin", xyz=_text(xyz), rpy=_text(rpy))
+
+
+def _text(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _joints(model: Any, chain: Sequence[UrdfJoint]) -> tuple[Joint, ...]:
+    import pinocchio as pin
+
+    data = model.createData()
+    pin.computeJointJacobians(model, data, np.zeros(model.nq))
+    joints = []
+    for index, joint in enumerate(chain, start=1):
+        jacobian = pin.getJointJacobian(model, data, index, pin.ReferenceFrame.WORLD)
+        world = jacobian.reshape(6, -1)[:, index - 1]  # (6,) if there is one joint
+        inertia = model.inertias[index]
+        joints.append(
             Joint(
                 name=joint.name,
-                screw=np.concatenate([still, axis]) if joint.kind == "prismatic" else turning,
-                home=home,
+                screw=np.concatenate([world[3:], world[:3]]),
+                home=np.array(data.oMi[index].homogeneous),
                 limits=joint.limits,
-                link=link_inertia if link_inertia[0] > 0.0 else None,
+                # in the order of `lieid_casadi.robot.inertia`
+                link=np.array(inertia.toDynamicParameters()) if inertia.mass > 0.0 else None,
                 link_name=joint.child,
             )
         )
-    return tuple(made), relative(frames[chain[-1].child], frames[tip])
-
-
-def read_elements(root: Element, origin: str) -> tuple[list[UrdfLink], list[UrdfJoint]]:
-    """Return the links and joints of a URDF."""
-    links = [_link(e, f"{origin}: link {_name(e, origin)!r}") for e in root.findall("link")]
-    joints = [_joint(e, f"{origin}: joint {_name(e, origin)!r}") for e in root.findall("joint")]
-    for what, names in (("link", [x.name for x in links]), ("joint", [x.name for x in joints])):
-        if len(names) > MOST:
-            raise RobotError(f"{origin}: found {len(names)} {what}s; expected at most {MOST}")
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise RobotError(
-                f"{origin}: {what} name {twice!r} is given twice; expected unique names"
-            )
-    return links, joints
-
-
-def _name(element: Element, origin: str) -> str:
-    name = element.get("name", "")
-    if not name:
-        raise RobotError(f"{origin}: found a <{element.tag}> without a name")
-    return name
-
-
-def _link(element: Element, where: str) -> UrdfLink:
-    name, inertial = element.get("name", ""), element.find("inertial")
-    if inertial is None:
-        return UrdfLink(name, 0.0, np.eye(4), np.zeros(6))
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    if mass is None or inertia is None:
-        lacking = "mass" if mass is None else "inertia"
-        raise RobotError(f"{where}: <inertial> has no <{lacking}>; add it or remove <inertial>")
-    stated = _number(mass, "value", where)
-    if stated < 0.0:
-        raise RobotError(f"{where}: mass is {stated:g} kg, expected 0 or more")
-    six = np.array([_number(inertia, name, where) for name in INERTIA])
-    return UrdfLink(name, stated, _pose(inertial, f"{where}: inertial"), six)
-
-
-def _joint(element: Element, where: str) -> UrdfJoint:
-    kind = element.get("type", "")
-    parent, child = element.find("parent"), element.find("child")
-    if parent is None or child is None:
-        raise RobotError(f"{where} lacks <parent> or <child>")
-    if kind not in (*MOVABLE, "fixed"):
-        raise RobotError(
-            f"{where} is of type {kind!r}; expected revolute, continuous, prismatic or fixed"
-        )
-    movable, mimic = kind in MOVABLE, element.find("mimic")
-    return UrdfJoint(
-        element.get("name", ""),
-        kind,
-        parent.get("link", ""),
-        child.get("link", ""),
-        _pose(element, where),
-        _axis(element, where) if movable else np.array([1.0, 0.0, 0.0]),
-        _limits(element, kind, where) if movable else Limits(),
-        "" if mimic is None else mimic.get("joint", "another joint"),
-    )
-
-
-def _pose(element: Element, where: str) -> Geometry:
-    origin = element.find("origin")
-    if origin is None:
-        return np.eye(4)
-    return pose(_three(origin, "xyz", where), _three(origin, "rpy", where))
-
-
-def _axis(element: Element, where: str) -> Array:
-    """Return the unit axis (3,); URDF's default is x."""
-    stated = element.find("axis")
-    if stated is None:
-        return np.array([1.0, 0.0, 0.0])
-    axis = _three(stated, "xyz", f"{where}: axis", largest=LARGEST)
-    length = float(np.linalg.norm(axis))
-    if not LEAST_AXIS <= length <= LONGEST_AXIS:
-        raise RobotError(
-            f"{where}: axis xyz={stated.get('xyz', '')[:60]!r} has length {length:g}; "
-            "expected a direction of length 1"
-        )
-    return axis / length
-
-
-def _limits(element: Element, kind: str, where: str) -> Limits:
-    limit = element.find("limit")
-    if limit is None:
-        return Limits()
-    lower, upper, velocity, effort = (
-        _limit(limit, name, where) for name in ("lower", "upper", "velocity", "effort")
-    )
-    stated = {"lower", "upper"} & set(limit.keys())
-    if stated == {"lower"}:
-        upper = 0.0  # the default of the format, where one of both is stated
-    elif stated == {"upper"}:
-        lower = 0.0
-    lower, upper = _within_soft_limits(element, lower, upper, where)
-    if kind == "continuous":
-        lower = upper = NOT_STATED
-    if lower >= upper:
-        raise RobotError(
-            f"{where}: limits lower={lower:g}, upper={upper:g}; expected lower < upper"
-        )
-    for name, value in (("velocity", velocity), ("effort", effort)):
-        if value < 0.0:
-            raise RobotError(f"{where}: limit {name}={value:g}; expected 0 or more")
-    return Limits(
-        position_lower=lower,
-        position_upper=upper,
-        velocity=velocity or NOT_STATED,
-        torque=effort or NOT_STATED,
-    )
-
-
-def _within_soft_limits(
-    element: Element, lower: float, upper: float, where: str
-) -> tuple[float, float]:
-    """Return position limits narrowed by those at which the joint's safety controller acts."""
-    safety = element.find("safety_controller")
-    if safety is None:
-        return lower, upper
-    first, last = (_limit(safety, f"soft_{name}_limit", where) for name in ("lower", "upper"))
-    if first == last:  # the default of the format: not stated
-        return lower, upper
-    return float(np.fmax(lower, first)), float(np.fmin(upper, last))
-
-
-def _limit(limit: Element, name: str, where: str) -> float:
-    """Return a limit, NaN where it is absent or infinite."""
-    text = limit.get(name)
-    if text is None or text.strip().lower() in _UNLIMITED:
-        return NOT_STATED
-    return _parsed(text, f"{where}: limit {name}", LARGEST)
-
-
-def _number(element: Element, attribute: str, where: str) -> float:
-    return _parsed(element.get(attribute, ""), f"{where}: {element.tag} {attribute}", LARGEST)
-
-
-def _three(element: Element, attribute: str, where: str, largest: float = FARTHEST) -> Array:
-    text = element.get(attribute)
-    if text is None:
-        return np.zeros(3)
-    words = text.split()
-    if len(words) != 3:
-        raise RobotError(f"{where}: {attribute}={text[:60]!r}; expected three numbers")
-    return np.array([_parsed(word, f"{where}: {attribute}", largest) for word in words])
-
-
-def _parsed(text: str, where: str, largest: float) -> float:
-    if not _NUMBER.fullmatch(text.strip()):
-        raise RobotError(f"{where}={text[:60]!r} is not a number")
-    value = float(text)
-    if not math.isfinite(value) or abs(value) > largest:
-        raise RobotError(f"{where}={text[:60]!r}; expected a number of at most {largest:g}")
-    return value
+    return tuple(joints)
 
 
 def check_tree(
@@ -406,40 +284,48 @@ def tip_link(joints: Sequence[UrdfJoint], chain: Sequence[UrdfJoint], tip: str |
         link = following[0]
 
 
-def _xml(text: str, origin: str) -> ElementTree.Element:
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise RobotError(f"{origin}: not a URDF: found a document type or entity definition")
+LONGEST = 100_000  # bytes that are kept
+_lock = Lock()  # the descriptors belong to the process
+
+
+@dataclass
+class NativeOutput:
+    """``text`` holds what was written, once the capture has ended."""
+
+    text: str = ""
+
+
+@contextmanager
+def captured() -> Iterator[NativeOutput]:
+    """Redirect the file descriptors 1 and 2 of the process while a native library works.
+
+    Libraries such as urdfdom print their complaints there, past Python's ``sys.stderr``. Where no
+    temporary file can be made they are discarded.
+    """
+    output = NativeOutput()
+    with _lock, _temporary_file() as file, ExitStack() as restore:
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:
+                stream.flush()
+        restore.callback(_read, file, output)
+        for descriptor in (1, 2):
+            try:
+                copy = os.dup(descriptor)
+            except OSError:  # closed, as in a service without a terminal
+                continue
+            restore.callback(os.close, copy)
+            restore.callback(os.dup2, copy, descriptor)
+            os.dup2(file.fileno(), descriptor)
+        yield output
+
+
+def _temporary_file() -> BinaryIO:
     try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise RobotError(f"{origin}: not XML: {error}") from None
-    if root.tag != "robot":
-        found = root.tag[:60]
-        raise RobotError(f"{origin}: not a URDF: root element is <{found}>, expected <robot>")
-    return root
+        return tempfile.TemporaryFile()
+    except OSError:
+        return open(os.devnull, "r+b")
 
 
-def _mimic_warnings(joints: Sequence[UrdfJoint], origin: str) -> list[LieidWarning]:
-    """Return warnings of joints that follow others; in the chain they are refused before."""
-    return [
-        MimicJointWarning(
-            f"{origin}: joint {joint.name!r} mimics {joint.mimics!r}, which is not modelled: it is "
-            "kept at zero"
-        )
-        for joint in joints
-        if joint.mimics and joint.movable
-    ]
-
-
-def _inertia_warnings(links: Sequence[UrdfLink], origin: str) -> list[LieidWarning]:
-    warnings: list[LieidWarning] = []
-    for link in links:
-        fault = impossible_moments([0.0, 0.0, 0.0, 0.0, *link.inertia])
-        if fault is not None:
-            warnings.append(
-                NominalInertiaWarning(
-                    f"{origin}: link {link.name!r}: its inertia has {fault} which is physically "
-                    "impossible"
-                )
-            )
-    return warnings
+def _read(file: BinaryIO, output: NativeOutput) -> None:
+    file.seek(0)
+    output.text = file.read(LONGEST).decode("utf-8", errors="replace")
