@@ -17,6 +17,7 @@ from lieid_casadi.robot import Robot
 
 DEFAULT_ACCELERATION = 5.0  # rad/s² (m/s²) where the robot states no limit
 DEFAULT_VELOCITY = {True: 2.0, False: 0.5}  # rad/s revolute, m/s sliding
+REST = 0.5  # s, between two runs of a sweep
 DEFAULT_REACH = {True: np.pi, False: 0.5}  # rad, m either side
 
 
@@ -199,12 +200,11 @@ def sweep(
     *,
     speeds: Sequence[float] | None = None,
     pose: ArrayLike | None = None,
-    dwell: float = 0.5,
 ) -> PolynomialPath:
     """Return forward and backward runs of one joint (from 0) across its range.
 
     Speeds (rad/s) are 5, 15 and 40 % of the joint's limit by default, the pose of the other joints
-    the middle of their ranges; ``dwell`` (s) is at rest between two runs.
+    the middle of their ranges; 0.5 s are at rest between two runs.
 
     RobotError: no such joint, or a speed that is not positive or for which the range is too short.
     """
@@ -225,14 +225,14 @@ def sweep(
         ramp = 1.5 * speed / acceleration  # its peak acceleration is 1.5 of the mean
         total = ramp + (upper - lower) / speed
         for start, end, v in ((lower, upper, speed), (upper, lower, -speed)):
-            begin = knots[-1][0] + dwell
+            begin = knots[-1][0] + REST
             knots += [
                 (begin, start, 0.0),
                 (begin + ramp, start + 0.5 * ramp * v, v),
                 (begin + total - ramp, end - 0.5 * ramp * v, v),
                 (begin + total, end, 0.0),
             ]
-    knots.append((knots[-1][0] + dwell, lower, 0.0))
+    knots.append((knots[-1][0] + REST, lower, 0.0))
     times, positions, velocities = np.array(knots).T
     middle = envelope.middle if pose is None else np.asarray(pose, dtype=float)
     q = np.tile(middle, (len(times), 1))

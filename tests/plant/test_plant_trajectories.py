@@ -50,7 +50,7 @@ def test_fourier_trajectories_are_periodic_and_reproducible():
 
 
 def test_sweep_moves_one_joint_at_constant_speeds():
-    path = sweep(robots.panda(), 3, speeds=(0.2, 0.6), dwell=0.5)
+    path = sweep(robots.panda(), 3, speeds=(0.2, 0.6))
     t = np.linspace(0, path.duration, 200001)
     q, dq, _ = path.at(t)
     assert not np.delete(dq, 3, axis=1).any()
