@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import io
 import os
 import secrets
@@ -116,37 +115,12 @@ def created_folders(folder: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def temporary_folder(parent: Path) -> Iterator[Path]:
     """Folder that is removed at the end, unless it was renamed."""
-    remove_abandoned(parent)
-    while True:
-        folder = _temporary_name(parent)
-        folder.mkdir()
-        if (handle := _locked(folder, os.O_RDONLY)) is not None:
-            break
+    folder = _temporary_name(parent)
+    folder.mkdir()
     try:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        os.close(handle)
-
-
-def remove_abandoned(folder: Path) -> None:
-    """Remove temporary files of runs that were killed while they wrote into a folder.
-
-    A run holds a lock on its temporary files; the lock ends with the process.
-    """
-    with os.scandir(folder) as entries:
-        names = [entry.path for entry in entries if is_temporary(entry.name)]
-    for name in names:
-        with contextlib.suppress(OSError):
-            handle = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if os.path.isdir(name):
-                    shutil.rmtree(name)
-                else:
-                    os.unlink(name)
-            finally:
-                os.close(handle)
 
 
 def is_temporary(name: str) -> bool:
@@ -156,12 +130,8 @@ def is_temporary(name: str) -> bool:
 
 @contextlib.contextmanager
 def _temporary_file(folder: Path, *, mode: int) -> Iterator[tuple[Path, BinaryIO]]:
-    remove_abandoned(folder)
-    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
-    while True:
-        path = _temporary_name(folder)
-        if (handle := _locked(path, flags, mode)) is not None:
-            break
+    path = _temporary_name(folder)
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     try:
         with os.fdopen(handle, "w+b") as file:
             yield path, file
@@ -173,17 +143,6 @@ def _temporary_file(folder: Path, *, mode: int) -> Iterator[tuple[Path, BinaryIO
 
 def _temporary_name(folder: Path) -> Path:
     return folder / f"{PREFIX}{secrets.token_hex(8)}{SUFFIX}"
-
-
-def _locked(path: Path, flags: int, mode: int = 0o666) -> int | None:
-    """Return a handle that holds the lock; None if another run has removed the path meanwhile."""
-    handle = os.open(path, flags | os.O_CLOEXEC, mode)
-    with contextlib.suppress(OSError):  # some network file systems have no locks
-        fcntl.flock(handle, fcntl.LOCK_EX)
-    if path.exists():
-        return handle
-    os.close(handle)
-    return None
 
 
 def _status(path: str | Path) -> os.stat_result | None:

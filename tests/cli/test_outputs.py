@@ -11,7 +11,7 @@ import pytest
 from cli.folder_contents import tree
 from cli.two_link_files import refused
 
-from lieid_casadi.atomic_file import PREFIX, SUFFIX, atomic_binary
+from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.cli.main import build_parser
 from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder, PictureFile
 from lieid_casadi.errors import OutputError
@@ -122,17 +122,6 @@ def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch, fault):
     assert tree(tmp_path) == {"a.json": b"old"}
     save(path)
     assert tree(tmp_path) == {"a.json": b"new"}
-
-
-def test_temporary_files_of_ended_runs_are_removed_and_those_of_others_kept(tmp_path):
-    (tmp_path / f"{PREFIX}dead{SUFFIX}").write_bytes(b"half")
-    (tmp_path / f"{PREFIX}folder{SUFFIX}").mkdir()
-    (tmp_path / f"{PREFIX}folder{SUFFIX}" / "half").write_bytes(b"half")
-    with atomic_binary(tmp_path / "a") as file:
-        file.write(b"a")
-        save(tmp_path / "b")  # meanwhile: the file being written is locked
-    assert tree(tmp_path) == {"a": b"a", "b": b"new"}
-    assert sorted(os.listdir(tmp_path)) == ["a", "b"]
 
 
 def test_a_file_size_limit_is_status_2(work):

@@ -153,4 +153,3 @@ def test_kill_9_at_random_moments(work, name):
     assert killed
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     assert outputs().keys() == before.keys()
-    assert not temporary()
