@@ -231,19 +231,7 @@ class Model:
     ) -> ca.SX:
         """Return the effects' columns (n, m), sparse, given shape parameters (s,).
 
-        Parameters
-        ----------
-        signals : EffectSignals
-            Symbols of all joints.
-        shapes : (s,)
-            Shape parameters.
-        states : (S,), optional
-            States of effects with memory.
-
-        Raises
-        ------
-        ModelError
-            An effect has memory and no states were given.
+        ``states`` (S,): of effects with memory; without them these raise `ModelError`.
         """
         matrix = ca.SX(self.n, len(self.columns))
         column = 0
@@ -256,17 +244,7 @@ class Model:
     def advance(
         self, before: EffectSignals, now: EffectSignals, shapes: ca.SX, states: ca.SX
     ) -> ca.SX:
-        """Return the states at one sample from the states at the sample before it.
-
-        Parameters
-        ----------
-        before, now : EffectSignals
-            Symbols of the sample before and of this one.
-        shapes : (s,)
-            Shape parameters.
-        states : (S,)
-            At the sample before.
-        """
+        """Return the states at a sample, from the signals and states (S,) at the one before it."""
         after: list[ca.SX] = []
         for p, shape, state in self._named(shapes, states):
             if state:
@@ -275,17 +253,7 @@ class Model:
         return ca.vertcat(*after)
 
     def state_rates(self, signals: EffectSignals, shapes: ca.SX, states: ca.SX) -> ca.SX:
-        """Return the time derivatives (S,) of the states of effects with memory.
-
-        Parameters
-        ----------
-        signals : EffectSignals
-            Symbols of all joints.
-        shapes : (s,)
-            Shape parameters.
-        states : (S,)
-            States of effects with memory.
-        """
+        """Return the time derivatives (S,) of the states of effects with memory."""
         rates: list[ca.SX] = []
         for p, shape, state in self._named(shapes, states):
             if state:

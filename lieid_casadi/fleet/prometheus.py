@@ -17,10 +17,6 @@ GAUGES = {
         "(SELECT serial, quantity FROM alarms WHERE closed IS NULL) USING (serial) "
         "GROUP BY serial ORDER BY serial",
     ),
-    "last_night_timestamp_seconds": (
-        "Date (UTC) of the arm's last usable recording.",
-        "SELECT serial, epoch(date) FROM latest ORDER BY serial",
-    ),
     "last_success_timestamp": (
         "Date (UTC) of the newest night that was diagnosed, of every arm of the file; or 0.",
         "SELECT serial, coalesce(epoch(max(date) FILTER (status = 'done')), 0) "
@@ -43,10 +39,6 @@ GAUGES = {
         "Coefficient of an effect on the last night, SI units.",
         "SELECT serial, joint, name, value FROM latest JOIN parameters USING (run_id, serial) "
         "ORDER BY serial, name, joint",
-    ),
-    "runs": (
-        "Arm-nights in the history by status.",
-        "SELECT status, count(*) FROM runs GROUP BY status ORDER BY status",
     ),
     "last_run": (
         "Arm-nights of the last call of lieid fleet by status.",
