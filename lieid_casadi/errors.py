@@ -113,6 +113,10 @@ class NominalInertiaWarning(LieidWarning):
     """A stated inertia that is physically impossible."""
 
 
+class StatedMassWarning(LieidWarning):
+    """Masses of a physically consistent fit that are far from those that the robot states."""
+
+
 class NotReadWarning(LieidWarning):
     """Statements of a robot's description that change its dynamics and were not read."""
 

@@ -141,7 +141,14 @@ def _check_sizes(model: Model, content: Content) -> None:
         "shape_intervals": (content.shape_intervals, shapes),
         **{
             f"certificate.{name}": (getattr(content.certificate, name, None), n)
-            for name in ("pseudo_inertia_eigenvalue", "divergence", "rms", "rms_wls")
+            for name in (
+                "pseudo_inertia_eigenvalue",
+                "divergence",
+                "rms",
+                "rms_wls",
+                "gravity",
+                "stated_gravity",
+            )
         },
         "torque_constants": (content.provenance.torque_constants, n),
     }
@@ -298,6 +305,8 @@ class CertificateFile(Struct, forbid_unknown_fields=True):
     divergence: list[Number]
     rms: list[NotNegative]
     rms_wls: list[NotNegative]
+    gravity: list[NotNegative] | None = None
+    stated_gravity: list[NotNegative] | None = None
 
 
 class Content(Struct, forbid_unknown_fields=True):

@@ -14,7 +14,7 @@ from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import IdentificationError, LieidWarning, unique_warnings
 from lieid_casadi.identification import fit_warnings
-from lieid_casadi.identification.feasible.feasible_fit import certify, make_feasible
+from lieid_casadi.identification.feasible.feasible_fit import certify, make_feasible, mass_warnings
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import center_temperature, training_rms
 from lieid_casadi.identification.recording_checks import (
@@ -193,7 +193,7 @@ def identify_segments(
         rms_wls, state, estimate = rms, consistent.state, consistent.estimate
         rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
         certificate = certify(design, consistent, rms, rms_wls)
-        found += consistent.warnings
+        found += [*consistent.warnings, *mass_warnings(model.robot, state.parameters)]
     found += fit_warnings.bounds(design, least, state)
     report("evaluate", 0.9)
     ends = None

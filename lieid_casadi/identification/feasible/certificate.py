@@ -38,6 +38,9 @@ class Certificate:
         Entropic divergence of each link from its reference body; 0 if they are equal.
     rms, rms_wls : (n,)
         Training error of these parameters and of weighted least squares, N·m.
+    gravity, stated_gravity : (n,) or None
+        RMS of the gravity load in the recordings, of these parameters and of the stated inertias,
+        N·m; None in older files, and without stated inertias.
     """
 
     regularization: float
@@ -49,6 +52,8 @@ class Certificate:
     divergence: Array
     rms: Array
     rms_wls: Array
+    gravity: Array | None = None
+    stated_gravity: Array | None = None
 
     @property
     def holds(self) -> bool:
@@ -68,6 +73,11 @@ class Certificate:
     def summary(self) -> str:
         """Return the result of the checks and the increase in error as text."""
         costs = " ".join(f"{100.0 * x:+.1f}" for x in self.cost)
+        load = ""
+        if self.gravity is not None:
+            load = f" Gravity load that the recordings showed, RMS per joint: {_row(self.gravity)}"
+            stated = self.stated_gravity
+            load += f" N·m{'' if stated is None else f' (stated inertias: {_row(stated)})'}."
         friction = "" if np.isinf(self.least_dissipation) else ", friction is dissipative"
         found = (
             f"every link's pseudo-inertia is positive definite (smallest eigenvalue "
@@ -77,7 +87,7 @@ class Certificate:
         return (
             f"Physically consistent: {found if self.holds else 'no'}. Change of the RMS training "
             f"error against weighted least squares, per joint: {costs} %. Regularization "
-            f"{self.regularization:.2g} ({self.regularization_source})."
+            f"{self.regularization:.2g} ({self.regularization_source}).{load}"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -97,6 +107,10 @@ class Certificate:
         }
         least = values.pop("least_dissipation")
         return cls(least_dissipation=np.inf if least is None else least, **values)
+
+
+def _row(values: Array) -> str:
+    return " ".join(f"{x:.3g}" for x in values)
 
 
 def pseudo_inertia_eigenvalues(links: Array) -> Array:

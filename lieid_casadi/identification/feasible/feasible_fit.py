@@ -14,6 +14,7 @@ from lieid_casadi.errors import (
     LieidWarning,
     NoSolution,
     NotDissipativeWarning,
+    StatedMassWarning,
 )
 from lieid_casadi.identification.feasible.certificate import (
     Certificate,
@@ -40,6 +41,7 @@ from lieid_casadi.identification.regression.least_squares import (
     stacked,
 )
 from lieid_casadi.recording import Processed
+from lieid_casadi.robot import Robot
 
 DRIVING = 0.1  # of a joint's noise: a warning is given if friction drives the joint by more
 
@@ -69,6 +71,7 @@ def driving(design: Design, start: FitState, problem: FeasibleProblem) -> list[L
 WEIGHTS = tuple(10.0**k for k in range(-5, 2))  # values of λ tried by cross-validation
 ROUNDS = 10  # largest number of iterations over the load
 POSES = 10_000  # at which the mass matrix is checked
+MASS_FACTOR = 2.0  # between the total mass of a fit and that of the description: a warning beyond
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +122,12 @@ def make_feasible(
 def certify(design: Design, consistent: ConsistentFit, rms: Array, rms_wls: Array) -> Certificate:
     """Check the result independently of the solver."""
     problem, parameters = consistent.problem, consistent.state.parameters
-    links = parameters[: 10 * problem.n]
+    links, robot = parameters[: 10 * problem.n], design.model.robot
+    q = np.concatenate([segment.q[segment.kept] for segment in design.segments])
+
+    def load(bodies: Array) -> Array:
+        return np.asarray(np.sqrt(np.mean(design.compiled.gravity(q, bodies) ** 2, axis=0)))
+
     return Certificate(
         regularization=consistent.regularization,
         regularization_source=consistent.source,
@@ -132,7 +140,27 @@ def certify(design: Design, consistent: ConsistentFit, rms: Array, rms_wls: Arra
         divergence=problem.divergences(parameters),
         rms=rms,
         rms_wls=rms_wls,
+        gravity=load(links),
+        stated_gravity=load(robot.link_parameters) if robot.has_inertia else None,
     )
+
+
+def mass_warnings(robot: Robot, parameters: Array) -> list[LieidWarning]:
+    """Return a warning if the masses of a fit are in sum far from those that the robot states."""
+    if not robot.has_inertia:
+        return []
+    total, stated = (
+        float(x[: 10 * robot.n : 10].sum()) for x in (parameters, robot.link_parameters)
+    )
+    if stated <= 0.0 or 1.0 / MASS_FACTOR <= total / stated <= MASS_FACTOR:
+        return []
+    return [
+        StatedMassWarning(
+            f"the links have {total:.3g} kg in this fit, and {stated:.3g} kg by the description of "
+            f"{robot.name!r}: check the unit of the torque, and whether the controller compensates "
+            "gravity (lieid check), or the stated masses"
+        )
+    ]
 
 
 def feasible_problem(
