@@ -87,29 +87,16 @@ class PlannedMotion:
 class MotionDesign:
     """How the motions of an experiment are designed.
 
-    Attributes
-    ----------
-    model : Model
-        Without the effects that were found.
-    fit : Fit or None
-        From which the experiment started.
-    margin : float
-        Part of the velocity limits that is used.
-    longest : float
-        Length of a whole motion, s.
-    rate : float
-        Of the trajectory files, Hz.
-    probe : MotionSamples
-        At rest at the start pose at both ends; of no length without a probe.
+    The probe is at rest at the start pose at both ends, and of no length if there is none.
     """
 
-    model: Model
-    fit: Fit | None
+    model: Model  # without the effects that were found
+    fit: Fit | None  # from which the experiment started
     limits: tuple[Limit, ...]
     acceleration: ArrayLike | None
-    margin: float
-    longest: float
-    rate: float
+    margin: float  # part of the velocity limits that is used
+    longest: float  # length of a whole motion, s
+    rate: float  # of the trajectory files, Hz
     seed: int
     probe: MotionSamples = field(default_factory=lambda: MotionSamples(*[np.zeros(1)] * 4))
 
