@@ -1,8 +1,8 @@
-"""Excitation with a limit, a criterion and a wall of your own.
+"""Excitation with a limit, a criterion and a keep-out box of your own.
 
     python examples/own_limits.py [FOLDER]
 
-The drives of the Panda may deliver at most 25 W in sum and the arm stays clear of a wall; the
+The drives of the Panda may deliver at most 25 W in sum and the arm stays clear of a pillar; the
 trajectory minimizes the variances of the friction coefficients of joints 1 to 3 in place of the
 condition number.
 """
@@ -15,7 +15,7 @@ import numpy as np
 import lieid_casadi as lieid
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.dynamics.recursion import inverse_dynamics
-from lieid_casadi.excitation import Criterion, SymbolicSet
+from lieid_casadi.excitation import SymbolicSet
 
 ROBOT = lieid.robots.panda()
 MODEL = lieid.Model(ROBOT, effects=["coulomb:1+2+3", "viscous:1+2+3"])
@@ -42,23 +42,17 @@ class Power:
         )  # fmt: skip
 
 
-class FrictionVariance(Criterion):
-    """Logarithm of the sum of the variances of the friction coefficients."""
-
-    name = "friction_variance"
-
-    def evaluate(self, gram: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the value and its derivative by the information matrix."""
-        covariance = np.linalg.inv(gram)
-        total = covariance[FRICTION, FRICTION].sum()
-        return np.log(total), -covariance[:, FRICTION] @ covariance[FRICTION] / total
+def friction_variance(information: ca.SX) -> ca.SX:
+    """Return the logarithm of the sum of the variances of the friction coefficients."""
+    covariance = ca.inv(information)
+    return ca.log(sum(covariance[k, k] for k in FRICTION))
 
 
 def design(**options: object) -> lieid.Excitation:
     """Return the trajectory."""
-    wall = lieid.Wall((0.0, -1.0, 0.0), 0.6, "wall")
-    limits = [*lieid.default_limits(ROBOT), Power(25.0), wall]
-    return lieid.excite(MODEL, criterion=FrictionVariance(), limits=limits, **options)
+    pillar = lieid.Obstacle((0.4, -0.7, 0.0), (0.6, -0.4, 1.0), "pillar")
+    limits = [*lieid.default_limits(ROBOT), Power(25.0), pillar]
+    return lieid.excite(MODEL, criterion=friction_variance, limits=limits, **options)
 
 
 if __name__ == "__main__":

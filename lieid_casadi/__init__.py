@@ -27,6 +27,7 @@ __all__ = [
     "LieidWarning",
     "Limits",
     "Model",
+    "Obstacle",
     "PayloadEstimate",
     "PlannedMotion",
     "PremiseCheck",
@@ -77,7 +78,7 @@ _HOME = {
         "effects": "Coefficient Effect Shape Signals effect register",
         "errors": "LieidError LieidWarning",
         "excitation": (
-            "CartesianSpeed Excitation SelfCollision Torque Wall default_limits "
+            "CartesianSpeed Excitation Obstacle SelfCollision Torque Wall default_limits "
             "excite floor workspace_box"
         ),
         "experiments": "Experiment PlannedMotion experiment",
@@ -111,6 +112,7 @@ if TYPE_CHECKING:
     from lieid_casadi.errors import LieidError, LieidWarning
     from lieid_casadi.excitation import (
         CartesianSpeed,
+        Obstacle,
         SelfCollision,
         Torque,
         Wall,

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.tables import make_table
+
+if TYPE_CHECKING:
+    from lieid_casadi.excitation.limits import Limit
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.model import Model
 
 INTERRUPTED = 130  # with a trajectory kept
 
@@ -22,6 +28,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
         column norms (hadamard), −log det (logdet)
     --inertial-only  leave effects out of the regressor
     @LIMITS
+    --friction-sweep JOINT …: int  write runs of these joints at constant speeds instead
     @JSON @THREADS
     == motion
     --duration S: number = 20  duration of one period, s
@@ -41,11 +48,14 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
     folder = Path(args.output)
     arm, robot = inputs.arm_of(args)
+    limits = inputs.limits_of(args, robot)
+    if args.friction_sweep:
+        return _sweep(args, arm, limits, folder)
     with output.progress("excite") as report:
         excitation = excite(
             arm,
             criterion=args.criterion, inertial_only=args.inertial_only,
-            limits=inputs.limits_of(args, robot), start_pose=args.start_pose or None,
+            limits=limits, start_pose=args.start_pose or None,
             acceleration=args.acceleration or None, margin=args.margin,
             duration=args.duration, harmonics=args.harmonics, periods=args.periods,
             samples=args.samples, rate=args.rate,
@@ -68,4 +78,38 @@ def run(args: argparse.Namespace) -> output.Outcome:
         json=excitation.to_dict(),
         folder=lambda: excitation.save(folder, force=args.force),
         status=INTERRUPTED if excitation.interrupted else 0,
+    )
+
+
+def _sweep(
+    args: argparse.Namespace, arm: Model | Fit, limits: list[Limit], folder: Path
+) -> output.Outcome:
+    """Design runs of single joints at constant speeds."""
+    from lieid_casadi.excitation import friction_sweep
+    from lieid_casadi.output_folder import write_folder
+
+    sweeps = [
+        friction_sweep(
+            arm,
+            joint - 1,
+            start_pose=args.start_pose or None,
+            acceleration=args.acceleration or None,
+            margin=args.margin,
+            limits=limits,
+            rate=min(args.rate, 200.0),
+        )
+        for joint in args.friction_sweep
+    ]
+    contents = {name: data for sweep in sweeps for name, data in sweep.files().items()}
+    shown = [
+        f"Joint {sweep.joint + 1}: {len(sweep.parts) // 2} speeds forward and back, "
+        f"{sweep.motion.t[-1]:.0f} s; {len(sweep.left_out)} left out. Files in {folder}."
+        for sweep in sweeps
+    ]
+    shown.append(f"Checked: {'; '.join(sweeps[0].checked)}.")
+    shown.append(f"Not checked: {'; '.join(sweeps[0].unchecked)}.")
+    return output.Outcome(
+        shown,
+        json={"sweeps": [sweep.to_dict() for sweep in sweeps]},
+        folder=lambda: write_folder(folder, contents, force=args.force),
     )

@@ -298,6 +298,7 @@ def _require_drive_law(recording: Recording) -> None:
 def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
     """Return the default limits with the changes that the options specify."""
     from lieid_casadi.excitation import (
+        Obstacle,
         Torque,
         Wall,
         capsules_of,
@@ -310,7 +311,7 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
     links: Any = ()
     if args.capsules is not None:
         links = load_capsules(args.capsules, robot)
-    elif workspace or args.wall or args.workspace_box:
+    elif workspace or args.wall or args.workspace_box or args.obstacle:
         links = capsules_of(robot)
     defaults = default_limits(
         robot,
@@ -324,6 +325,7 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
     limits += [Wall((x, y, z), d, capsules=links) for x, y, z, d in args.wall]
     for corners in args.workspace_box:
         limits += workspace_box(corners[:3], corners[3:], capsules=links)
+    limits += [Obstacle(tuple(c[:3]), tuple(c[3:]), capsules=links) for c in args.obstacle]
     return limits
 
 

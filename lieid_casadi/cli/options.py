@@ -243,6 +243,7 @@ SHARED = {
     --unchecked-workspace  do not check floor, self-collision and tool speed
     --wall NX NY NZ D: number repeated  keep the arm where n·x ≤ d, base frame, m
     --workspace-box X0 Y0 Z0 X1 Y1 Z1: number repeated  keep the arm inside this box, base frame, m
+    --obstacle X0 Y0 Z0 X1 Y1 Z1: number repeated  keep the arm outside this box, base frame, m
     --self-collision [M]: number = 0.02  least distance between links, m
     --capsules FILE: input  YAML file with capsules around the links; default: fitted to their
         geometry

@@ -2,6 +2,7 @@
 
 from lieid_casadi.excitation.checks import default_limits
 from lieid_casadi.excitation.clearance import (
+    Obstacle,
     SelfCollision,
     Wall,
     floor,
@@ -24,6 +25,7 @@ __all__ = [
     "Fourier",
     "FrictionSweep",
     "Limit",
+    "Obstacle",
     "SelfCollision",
     "SymbolicSet",
     "Torque",

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import PPoly
 
 from lieid_casadi.errors import NoSolution
-from lieid_casadi.excitation.clearance import SelfCollision, Wall, floor, link_name
+from lieid_casadi.excitation.clearance import Obstacle, SelfCollision, Wall, floor, link_name
 from lieid_casadi.excitation.clearance import pair_name as pair
 from lieid_casadi.excitation.limits import (
     CartesianSpeed,
@@ -29,6 +29,7 @@ from lieid_casadi.excitation.limits import (
 from lieid_casadi.excitation.links import Capsule, Shape, capsules_of, collision_shapes
 from lieid_casadi.excitation.rigid_arm import (
     ArmAlong,
+    box_shape,
     capsule_shape,
     nearness_to_singular,
 )
@@ -248,7 +249,7 @@ def _finding(limit: LimitOnArm, along: ArmAlong, fit: FittedArm | None) -> _Find
     elif isinstance(own, Torque) and fit is None:
         finding.name, finding.unit = "torque", "N·m"
         _rigid_torque(finding, own, along)
-    elif isinstance(own, Wall | SelfCollision):
+    elif isinstance(own, Wall | Obstacle | SelfCollision):
         finding.unit = "m"
         _distances(finding, own, along)
     elif made is not None:
@@ -281,7 +282,7 @@ def _rigid_torque(finding: _Finding, limit: Torque, along: ArmAlong) -> None:
             finding.add(subject, float(excess[k, j]), float(along.motion.t[k]))
 
 
-def _distances(finding: _Finding, limit: Wall | SelfCollision, along: ArmAlong) -> None:
+def _distances(finding: _Finding, limit: Wall | Obstacle | SelfCollision, along: ArmAlong) -> None:
     """Evaluate the distances of the links' shapes; links without one are excused."""
     capsules, n = tuple(limit.capsules) or capsules_of(along.robot), along.robot.n
     bodies = _bodies(along.robot, capsules)
@@ -303,9 +304,14 @@ def _distances(finding: _Finding, limit: Wall | SelfCollision, along: ArmAlong) 
     for link in range(1, n + 1):
         if not bodies[link]:
             finding.excused[link_name(link)] = "no shape"
-        for body in bodies[link]:
-            beyond = along.beyond_plane(body, *limit.plane, finding.tolerance)
-            finding.add(link_name(link), *beyond)
+        elif isinstance(limit, Wall):
+            for body in bodies[link]:
+                beyond = along.beyond_plane(body, *limit.plane, finding.tolerance)
+                finding.add(link_name(link), *beyond)
+        else:
+            box = box_shape(np.array(limit.lower), np.array(limit.upper))
+            nearest = along.nearest(bodies[link], [box], 0.0, finding.tolerance)
+            finding.add(link_name(link), *nearest)
 
 
 def _bodies(robot: Robot, capsules: Sequence[Capsule]) -> list[list[Shape]]:
@@ -344,7 +350,7 @@ def _general_remarks(robot: Robot, limits: Sequence[Limit], fit: FittedArm | Non
             if fit is None
             else "torque of payloads and temperatures other than in the recordings of the fit"
         )
-    near = [x for x in limits if isinstance(x, Wall | SelfCollision)]
+    near = [x for x in limits if isinstance(x, Wall | Obstacle | SelfCollision)]
     used = [c for limit in near for c in (limit.capsules or capsules_of(robot))]
     lines = dict.fromkeys(link_name(c.link) for c in used if c.source == "line")
     if lines:

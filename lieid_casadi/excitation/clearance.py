@@ -1,4 +1,4 @@
-"""Distances that the links keep: from each other, and from walls."""
+"""Distances that the links keep: from each other, from walls and from obstacles."""
 
 from __future__ import annotations
 
@@ -188,6 +188,63 @@ def workspace_box(
             side = f"wall at {'xyz'[axis]} = {edge:g} m"
             walls.append(Wall(tuple(unit), sign * edge, side, tuple(capsules)))  # type: ignore[arg-type]
     return tuple(walls)
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """Box along the axes of the base that the arm must avoid.
+
+    Each capsule is replaced by balls that contain it (`covering_balls`).
+
+    Attributes
+    ----------
+    lower, upper : (3,)
+        Corners, m.
+    name : str
+        In messages.
+    capsules : tuple of Capsule
+        Links. Default: those of `capsules_of`.
+    """
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+    name: str = "obstacle"
+    capsules: tuple[Capsule, ...] = ()
+
+    def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
+        """See `Limit`."""
+        low, high = np.array(self.lower), np.array(self.upper)
+        if not np.all(low < high):
+            raise ExcitationError(f"{self.name}: a lower corner is not below the upper one")
+        motion = Motion.symbols(robot.n)
+        poses = link_poses(robot, motion)
+        distances = []
+        for capsule in self.capsules or capsules_of(robot):
+            if capsule.link == 0:
+                continue
+            for point, radius in covering_balls(capsule):
+                here = _point_in_base(poses[capsule.link], point)
+                value = _outside_box(here, low, high) - radius
+                distances.append(_from(self.name, capsule, value))
+        return _clearance_set(self.name, self.name, robot, motion, distances, 0.0)
+
+
+def covering_balls(capsule: Capsule) -> list[tuple[Array, float]]:
+    """Return balls (centre, radius) whose union contains the capsule."""
+    length = float(np.linalg.norm(capsule.end - capsule.start))
+    pieces = max(1, int(np.ceil(length / max(capsule.radius, 1e-3))))
+    radius = float(np.hypot(capsule.radius, 0.5 * length / pieces))
+    shares = (np.arange(pieces) + 0.5) / pieces
+    balls = [(capsule.start + s * (capsule.end - capsule.start), radius) for s in shares]
+    ends = [(capsule.start, capsule.radius), (capsule.end, capsule.radius)]
+    return balls + ends
+
+
+def _outside_box(point: ca.SX, low: Array, high: Array) -> ca.SX:
+    """Return the signed distance of a point from a box."""
+    beyond = ca.fabs(point - ca.DM(0.5 * (low + high))) - ca.DM(0.5 * (high - low))
+    outside = ca.sqrt(ca.sumsqr(ca.fmax(beyond, 0.0)) + TINY)
+    return outside + ca.fmin(ca.mmax(beyond), 0.0)
 
 
 def _point_in_base(pose: Pose, point: Array) -> ca.SX:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -27,6 +28,7 @@ from lieid_casadi.excitation.sample_functions import (
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.model import Model
 
+CriterionExpression = Callable[[ca.SX], ca.SX]
 CriterionName = Literal["combined", "condition", "hadamard", "logdet"]
 NAMES: tuple[CriterionName, ...] = get_args(CriterionName)
 SMALLEST = 1e-14  # of the largest eigenvalue; smaller ones are replaced by it
@@ -95,6 +97,23 @@ class Hadamard(Criterion):
         return -0.5 * float(np.mean(np.log(norms))), np.diag(-0.5 / (len(norms) * norms))
 
 
+class ExpressionCriterion(Criterion):
+    """A criterion of your own, as a CasADi expression of G (p, p); differentiated by CasADi."""
+
+    def __init__(self, expression: CriterionExpression, size: int) -> None:
+        gram = ca.SX.sym("G", size, size)
+        value = ca.SX(expression(gram))
+        if value.shape != (1, 1):
+            raise ExcitationError(f"criterion: shape {value.shape}; expected a scalar expression")
+        self.name = criterion_name(expression)
+        self._function = ca.Function("criterion", [gram], [value, ca.gradient(value, gram)])
+
+    def evaluate(self, gram: Array) -> tuple[float, Array]:
+        """See `Criterion`."""
+        value, slope = (output.full() for output in self._function(gram))
+        return float(value[0, 0]), 0.5 * (slope + slope.T)
+
+
 @dataclass(frozen=True)
 class CriterionStage:
     """Part of an optimization: at most so many iterations, ended by a smaller decrease."""
@@ -111,7 +130,9 @@ POWERS = (
 )  # fmt: skip
 
 
-def stages(criterion: str | Criterion, metric: Array) -> tuple[CriterionStage, ...]:
+def stages(
+    criterion: str | CriterionExpression | Criterion, metric: Array
+) -> tuple[CriterionStage, ...]:
     """Return the stages that lead to a criterion's optimum; a new criterion has its own here."""
     if criterion == "combined":  # the paper's C1 (Eq. 20): C3, then C2 with a bound on C4
         first = CriterionStage(Hadamard(), 60, 1e-5)
@@ -127,12 +148,16 @@ def stages(criterion: str | Criterion, metric: Array) -> tuple[CriterionStage, .
         return (CriterionStage(LogDet(), 200, 1e-5),)
     if isinstance(criterion, str):
         raise ExcitationError(f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}")
+    if not isinstance(criterion, Criterion):
+        criterion = ExpressionCriterion(criterion, len(metric))
     return (CriterionStage(LogDet(), 15, 1e-4), CriterionStage(criterion, 200, 1e-5))
 
 
-def criterion_name(criterion: str | Criterion) -> str:
+def criterion_name(criterion: str | CriterionExpression | Criterion) -> str:
     """Return the name of a criterion in files and summaries."""
-    return criterion if isinstance(criterion, str) else criterion.name
+    if isinstance(criterion, Criterion):
+        return criterion.name
+    return criterion if isinstance(criterion, str) else getattr(criterion, "__name__", "own")
 
 
 def design_model(model: Model) -> tuple[Model, tuple[NotCountedWarning, ...]]:

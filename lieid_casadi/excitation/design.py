@@ -15,6 +15,7 @@ from lieid_casadi.excitation.checks import CHUNK, CONTROL_STEP, MARGIN, SINGULAR
 from lieid_casadi.excitation.criteria import (
     NAMES,
     Criterion,
+    CriterionExpression,
     CriterionName,
     CriterionStage,
     InformationMatrix,
@@ -111,7 +112,7 @@ class ExcitationProblem:
         source: Model | Robot | IdentifiedModel,
         *,
         basis: Fourier,
-        criterion: CriterionName | Criterion = "combined",
+        criterion: CriterionName | CriterionExpression | Criterion = "combined",
         inertial_only: bool = False,
         limits: Sequence[Limit] | None = None,
         start_pose: ArrayLike | None = None,
@@ -123,7 +124,8 @@ class ExcitationProblem:
     ) -> None:
         if isinstance(criterion, str) and criterion not in NAMES:
             raise ExcitationError(
-                f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}, or a Criterion"
+                f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}, or a function of "
+                "the information matrix"
             )
         if not 4 * basis.size <= samples <= MOST_SAMPLES:
             raise ExcitationError(

@@ -19,6 +19,7 @@ from lieid_casadi.errors import ExcitationError, LieidWarning, NoSolution, warni
 from lieid_casadi.excitation.checks import MARGIN, verify
 from lieid_casadi.excitation.criteria import (
     Criterion,
+    CriterionExpression,
     CriterionName,
     Quality,
     criterion_name,
@@ -54,7 +55,7 @@ PLOTTED = 600  # samples of a figure
 def excite(
     source: Model | Robot | IdentifiedModel,
     *,
-    criterion: CriterionName | Criterion = "combined",
+    criterion: CriterionName | CriterionExpression | Criterion = "combined",
     inertial_only: bool = False,
     limits: Sequence[Limit] | None = None,
     start_pose: ArrayLike | None = None,
@@ -88,14 +89,16 @@ def excite(
     Parameters
     ----------
     source : Model, Robot or Fit
-    criterion : str or Criterion
+    criterion : str or callable
         ``combined`` (the paper's C1: condition number with a bound on −log det), ``condition``
-        (C2), ``hadamard`` (C3) or ``logdet`` (C4); or a `lieid_casadi.excitation.Criterion` of
-        your own, a function of the information matrix G = Y_bᵀY_b with its derivative.
+        (C2), ``hadamard`` (C3) or ``logdet`` (C4); or a function of the information matrix
+        G = Y_bᵀY_b, SX (p, p) in the order of ``model.base_columns``, that returns the scalar
+        expression to be minimized (a logarithm is well scaled); or a
+        `lieid_casadi.excitation.Criterion` with a derivative of its own.
     inertial_only : bool
         Leave the model's effects out, for comparison with the literature.
     limits : sequence of Limit, optional
-        Limits besides those of the joints: `Torque`, `CartesianSpeed`, `Wall`,
+        Limits besides those of the joints: `Torque`, `CartesianSpeed`, `Wall`, `Obstacle`,
         `SelfCollision`, or objects of your own with the method of
         `lieid_casadi.excitation.Limit`. Default: those of `default_limits`, which yours may
         follow: ``limits=[*default_limits(robot), mine]``; ``()`` leaves all out.

@@ -5,8 +5,10 @@ Half the difference of the torques of both directions at a position is the frict
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +27,7 @@ from lieid_casadi.excitation.limits import (
     sets_of,
 )
 from lieid_casadi.excitation.sample_functions import IdentifiedModel, model_and_fit
-from lieid_casadi.excitation.trajectory import MotionSamples
+from lieid_casadi.excitation.trajectory import MotionSamples, csv_text
 from lieid_casadi.model import Model
 from lieid_casadi.robot import Robot
 
@@ -67,6 +69,25 @@ class FrictionSweep:
     left_out: tuple[float, ...]
     checked: tuple[str, ...]
     unchecked: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a description of the runs; joints are numbered from 1."""
+        return {
+            "robot": self.model.robot.name,
+            "joint": self.joint + 1,
+            "duration": float(self.motion.t[-1]),
+            "parts": [{"speed": p.speed, "start": p.start, "end": p.end} for p in self.parts],
+            "left_out": list(self.left_out),
+            "checked": list(self.checked),
+            "unchecked": list(self.unchecked),
+        }
+
+    def files(self) -> dict[str, bytes]:
+        """Return the content of ``friction_sweep_qJ.csv`` and ``.json`` by name."""
+        name = f"friction_sweep_q{self.joint + 1}"
+        table = csv_text(self.motion, self.checked, self.unchecked)
+        content = json.dumps({"schema": 1} | self.to_dict(), indent=1)
+        return {f"{name}.csv": table.encode(), f"{name}.json": content.encode()}
 
 
 def friction_sweep(

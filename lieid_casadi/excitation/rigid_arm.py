@@ -200,6 +200,12 @@ def capsule_shape(capsule: Capsule) -> Shape:
     return Shape(capsule.link, geometry, rotation, middle, ends, capsule.radius)
 
 
+def box_shape(lower: Array, upper: Array) -> Shape:
+    """Return a box along the axes of the base."""
+    middle = 0.5 * (lower + upper)
+    return Shape(0, coal.Box(*(upper - lower)), np.eye(3), middle, middle[None], 0.0)
+
+
 def _placed(frame: Array, body: Shape) -> Any:
     rotation = frame[:3, :3]
     return coal.Transform3s(rotation @ body.rotation, rotation @ body.origin + frame[:3, 3])

@@ -15,6 +15,7 @@ from lieid_casadi.excitation import (
     excite,
     load_capsules,
 )
+from lieid_casadi.excitation.clearance import covering_balls
 from lieid_casadi.excitation.links import (
     collision_shapes,
     segment_distance_to_points,
@@ -33,6 +34,22 @@ def test_an_enclosing_capsule_contains_all_points(seed, count):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(count, 3)) * rng.uniform(0.01, 1.0, 3)
     assert outside(enclosing(3, points), points) <= 1e-9
+
+
+def test_covering_balls_cover():
+    capsule = Capsule(1, np.zeros(3), np.array([0.0, 0.0, 0.4]), 0.1)
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(4000, 3))
+    points = 0.1 * points / np.linalg.norm(points, axis=1)[:, None]
+    points[:, 2] += rng.choice([0.0, 0.4, 0.11, 0.33], 4000)
+    inside = points[outside_each(capsule, points) <= 1e-12]
+    balls = covering_balls(capsule)
+    gap = [np.linalg.norm(inside - centre, axis=1) - radius for centre, radius in balls]
+    assert np.min(gap, axis=0).max() <= 1e-9
+
+
+def outside_each(capsule, points):
+    return segment_distance_to_points(points, capsule.start, capsule.end) - capsule.radius
 
 
 def test_skeleton_runs_along_the_arm():

@@ -7,7 +7,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import NoSolution
-from lieid_casadi.excitation import SelfCollision, Wall, capsules_of, floor
+from lieid_casadi.excitation import Obstacle, SelfCollision, Wall, capsules_of, floor
 from lieid_casadi.excitation.checks import at_control_rate, verify
 from lieid_casadi.excitation.limits import motion_range, on_arm, speed_points
 from lieid_casadi.excitation.rigid_arm import nearness_to_singular
@@ -40,6 +40,13 @@ def test_a_motion_through_the_floor_is_refused():
         verified(swing(-0.3, 1.0), floor())
 
 
+def test_a_motion_through_an_obstacle_is_refused():
+    far, near = (Obstacle((x, -1.0, 0.2), (x + 0.2, 1.0, 2.0), "box") for x in (1.0, 0.5))
+    assert any(text.startswith("box: link 1") for text in verified(swing(0.3, 1.0), far).checked)
+    with pytest.raises(NoSolution, match="failed: box"):
+        verified(swing(0.3, 1.0), near)
+
+
 def test_joint_limits_hold_between_the_samples_of_a_file():
     """At 2 Hz no sample has the greatest speed, 0.5 rad/s; the interpolated motion has it."""
     coarse, fine = swing(-0.5, 0.5, rate=1.0), swing(-0.5, 0.5)
@@ -62,7 +69,9 @@ def test_the_name_of_a_robot_gives_it_no_capsules():
     assert {c.source for c in capsules_of(replace(PANDA, name="arm"))} == {"given"}
 
 
-@pytest.mark.parametrize("limit", [SelfCollision(), Wall((0.0, 0.0, -1.0), 0.0)])
+@pytest.mark.parametrize(
+    "limit", [SelfCollision(), Wall((0.0, 0.0, -1.0), 0.0), Obstacle((0.5, 0, 0), (0.6, 1, 1))]
+)
 def test_limits_without_capsules_use_those_of_the_robot(limit):
     """Not thin lines: the distances are those with the capsules of `capsules_of`."""
     q = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 7))

@@ -8,6 +8,7 @@ from lieid_casadi.errors import ExcitationError, NotCountedWarning
 from lieid_casadi.excitation import (
     CartesianSpeed,
     Criterion,
+    Obstacle,
     SelfCollision,
     Torque,
     Wall,
@@ -111,6 +112,7 @@ def test_effects_that_no_motion_excites_are_refused(effect):
     "limit",
     [
         Torque(), CartesianSpeed(1.0), SelfCollision(), Wall((0.0, 1.0, -2.0), 0.4),
+        Obstacle((0.3, -0.2, 0.1), (0.6, 0.2, 0.5)),
     ],
     ids=lambda limit: type(limit).__name__,
 )  # fmt: skip

@@ -93,6 +93,8 @@ def test_a_folder_with_content_needs_force(folder, capsys):
         (["--criterion", "best"], 2, "expected one of combined"),
         (["--margin", "1.5"], 2, "margin: 1.5; expected more than 0, at most 1"),
         (["--acceleration", "0"], 2, "acceleration"),
+        (["--friction-sweep", "7"], 2, "no joint 7"),
+        (["--obstacle", "1", "1", "1", "0", "0", "0"], 2, "lower corner"),
         (["--capsules", "nowhere.yaml", "--self-collision"], 2, "nowhere.yaml"),
     ],
 )
@@ -103,6 +105,17 @@ def test_bad_input_gives_one_line_and_no_files(tmp_path, capsys, options, status
     assert captured.err.count("\n") == 1
     assert message in captured.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_friction_sweep(tmp_path, capsys):
+    target = tmp_path / "runs"
+    report = tmp_path / "a.json"
+    arguments = ["--friction-sweep", "2", "--no-torque", "--json", str(report)]
+    assert main(["excite", "two_link", "-o", str(target), *arguments]) == 0
+    assert {p.name for p in target.iterdir()} == {
+        "friction_sweep_q2.csv", "friction_sweep_q2.json", "lieid-manifest.json",
+    }  # fmt: skip
+    assert json.loads(report.read_text())["sweeps"][0]["joint"] == 2
 
 
 def test_a_fit_in_place_of_the_robot(tmp_path, capsys):
@@ -122,6 +135,11 @@ def test_a_fit_in_place_of_the_robot(tmp_path, capsys):
     for option in (["--effects", "coulomb"], ["--tip", "link"], ["--lock", "elbow"]):
         assert main(["excite", str(fit), "-o", str(tmp_path / "no"), *option]) == 2
         assert "a fit" in capsys.readouterr().err
+    sweep = ["--friction-sweep", "1", "--json", str(tmp_path / "s.json"), "--unchecked-workspace"]
+    assert main(["excite", str(fit), "-o", str(tmp_path / "runs"), *sweep]) == 0
+    unchecked = json.loads((tmp_path / "s.json").read_text())["sweeps"][0]["unchecked"]
+    assert {"floor", "self-collision", "tool speed"} <= set(unchecked)
+    assert "Not checked: " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -132,8 +150,9 @@ def test_a_fit_in_place_of_the_robot(tmp_path, capsys):
         (["--unchecked-workspace"], ["Torque"]),
         (
             ["--cartesian-speed", "1", "--floor", "--self-collision", "--wall", "1", "0", "0",
-             "0.8", "--workspace-box", "-1", "-1", "-1", "1", "1", "2"],
-            ["Torque", "CartesianSpeed", "Wall", "SelfCollision", *["Wall"] * 7],
+             "0.8", "--workspace-box", "-1", "-1", "-1", "1", "1", "2",
+             "--obstacle", "0.5", "-0.1", "0", "0.7", "0.1", "0.3"],
+            ["Torque", "CartesianSpeed", "Wall", "SelfCollision", *["Wall"] * 7, "Obstacle"],
         ),
     ],
 )  # fmt: skip

@@ -62,6 +62,19 @@ def test_default_limits_hold_where_the_middle_of_the_range_is_horizontal(joint):
     assert "floor" not in sweep.unchecked
 
 
+def test_files(sweep):
+    import json
+
+    table, text = (data.decode() for data in sweep.files().values())
+    lines = table.splitlines()
+    assert "# not checked: self-collision" in lines
+    rows = np.loadtxt([line for line in lines if line[0] != "#"][1:], delimiter=",")
+    np.testing.assert_allclose(rows[:, 3], sweep.motion.q[:, 2], atol=1e-10)
+    content = json.loads(text)
+    assert content["joint"] == 3
+    assert len(content["parts"]) == 56
+
+
 def test_bad_requests():
     with pytest.raises(ExcitationError, match="no joint 9; the arm has 1 to 7"):
         friction_sweep(PANDA, 8)

@@ -94,6 +94,6 @@ def test_methods_and_criteria_have_literal_types():
     for function, name, annotation in (
         (lieid.identify, "method", "Method"),
         (lieid.diagnose, "method", "Method"),
-        (lieid.excite, "criterion", "CriterionName | Criterion"),
+        (lieid.excite, "criterion", "CriterionName | CriterionExpression | Criterion"),
     ):
         assert signature(function).parameters[name].annotation == annotation

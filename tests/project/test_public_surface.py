@@ -9,7 +9,7 @@ PUBLIC = {
     "CartesianSpeed", "Coefficient", "Comparison", "Compiled",
     "Diagnosis", "Discrimination", "Drive", "DriveGains", "Effect", "Excitation", "Experiment",
     "Export", "Fit", "FrictionFit", "Joint", "LieidError",
-    "LieidWarning", "Limits", "Model", "PayloadEstimate",
+    "LieidWarning", "Limits", "Model", "Obstacle", "PayloadEstimate",
     "PlannedMotion", "PremiseCheck", "Processing", "Recording", "Robot", "SelfCollision", "Shape",
     "Signals", "Simulation", "SymbolicDynamics", "Torque", "Wall",
     "__version__", "check", "compare", "compile", "default_limits", "diagnose",
