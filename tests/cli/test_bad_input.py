@@ -35,7 +35,6 @@ def fit_text(good, tmp_path_factory):
         (lambda text: text.replace('"kind": "lieid-fit"', '"kind": "other"'), ["not a fit"]),
         (lambda text: text.replace('"values": [\n  ', '"values": [\n  1.5, '), ["values"]),
         (lambda text: text.replace('"coulomb:1"', '"cuolomb:1"'), ["cuolomb"]),
-        (lambda text: "[]", ["not a fit"]),
     ],
 )
 def test_fit_files(run, tmp_path, good, fit_text, damage, words):
@@ -48,26 +47,18 @@ def test_fit_files(run, tmp_path, good, fit_text, damage, words):
     assert not (tmp_path / "p.csv").exists()
 
 
-def test_bad_input_writes_nothing(run, tmp_path):
-    out = tmp_path / "new" / "fit.json"
-    refused(run("identify", "two_link", tmp_path / "no.csv", "-o", out))
-    assert not out.parent.exists()
-
-
 @pytest.mark.parametrize(
     "arguments",
     [
         ["excite", "two_link", "-o", "out", "--seed", "-1"],
-        ["diagnose", "two_link", "--train", "x.csv", "--seed", "1.5"],
-        ["friction", "two_link", "x.csv", "--joint", "1", "--seed", "x"],
-        ["demo", "--seed", "-1"],
         ["identify", "two_link", "x.csv", "--cutoff", "nan"],
         ["excite", "two_link", "-o", "out", "--duration", "inf"],
         ["identify", "two_link"],
         ["identify", "two_link", "x.csv", "--method", "magic"],
         ["identify", "two_link", "x.csv", "--cutoff", "fast"],
         ["identify", "two_link", "{good}", "--torque-constants", "1,b"],
-        ["identify", "two_link", "{good}", "--torque-constants", "1,inf"],
+        ["identify", "two_link", "{good}", "--torque-constants", "1"],
+        ["identify", "two_link", "{good}", "--threads", "0"],
         ["identify", "two_link", "{good}", "--torque-constants", "0,1"],
         ["excite", "two_link", "-o", "out", "--duration", "1e300"],
         ["fly"],
@@ -96,8 +87,6 @@ def own(s, shape):
         ("def f(:\n", 1, "SyntaxError"),
         ("import nothing_like_this\n", 1, "ModuleNotFoundError"),
         ("import sys\n\nsys.exit(0)\n", 3, "SystemExit"),
-        ("1 / 0\n", 1, "ZeroDivisionError"),
-        ("raise GeneratorExit\n", 1, "GeneratorExit"),
         (OWN.format(column="s.nothing", last=""), 5, "AttributeError"),
         (OWN.format(column="s.q", last="own(1, 2)"), 6, "TypeError"),
     ],

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from cli.two_link_files import columns, write
 from comparison import two_link_data as arm
-from real_arms import UR10E, needs
 
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
@@ -129,34 +128,6 @@ def test_own_effect_from_a_file(runs, tmp_path, capsys):
     assert main(["compare", str(fit), runs[1]]) == 2
     assert "--effects-file" in capsys.readouterr().err
     assert main(["compare", str(fit), runs[1], "--effects-file", str(code)]) == 0
-
-
-@pytest.mark.real
-@needs(UR10E / "ur10e.urdf")
-def test_ur10e_reaches_the_reference(tmp_path):
-    """Plain least squares' own row, within 5 %; load friction takes a quarter off and more."""
-    reference = [2.49, 3.74, 1.42, 0.34, 0.37, 0.31]
-    reference_raw = [3.40, 4.45, 1.82, 0.50, 0.58, 0.47]
-    effects = "coulomb,viscous,offset,armature"
-    errors = {}
-    for name in (effects, f"{effects},load_friction:2+3"):
-        for test in ("excitation_14_harmonics", "point_to_point"):
-            out = tmp_path / "a.json"
-            arguments = ["identify", UR10E / "ur10e.urdf"]
-            arguments += [UR10E / f"excitation_{k}.csv.gz" for k in ("30s", "50s")]
-            arguments += ["--test", UR10E / f"{test}.csv.gz", "--effects", name]
-            arguments += ["--method", "wls", "--cutoff", "7", "--json", out]
-            assert main([str(a) for a in arguments]) == 0
-            errors[name, test] = json.loads(out.read_text())
-    plain = errors[effects, "excitation_14_harmonics"]
-    assert np.all(np.array(plain["rms_test"]) <= 1.05 * np.array(reference))
-    assert np.all(np.array(plain["rms_test_raw"]) <= 1.05 * np.array(reference_raw))
-    for test in ("excitation_14_harmonics", "point_to_point"):
-        before = np.array(errors[effects, test]["rms_test"])
-        after = np.array(errors[f"{effects},load_friction:2+3", test]["rms_test"])
-        assert np.all(after[1:3] < 0.75 * before[1:3])
-    rest = [w["name"] for w in errors[effects, "point_to_point"]["warnings"]]
-    assert "FrictionAtRestWarning" in rest
 
 
 def test_show_lists_effects_and_values_of_a_fit(tmp_path, capsys):

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 import lieid_casadi as lieid
 from lieid_casadi.comparison import plot_style
-from lieid_casadi.comparison.plots import intervals
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +32,8 @@ def test_plots_are_figures_and_change_no_setting(comparison):
     figures = [comparison.plot(), comparison.plot(joint=1), comparison.plot_errors()]
     assert all(type(figure) is Figure for figure in figures)
     assert png(figures[1]).startswith(b"\x89PNG")
+    figure = Figure()
+    assert comparison.plot(figure.subplots(), joint=1) is figure
     assert dict(matplotlib.rcParams) == before
     assert pyplot.get_fignums() == windows
 
@@ -48,14 +49,6 @@ def test_plot_draws_measured_predicted_and_error_of_every_joint(comparison):
         assert f"RMS {comparison.rms[joint]:.3g}"[:7] in axes[joint, 1].get_title("left")
 
 
-def test_plot_draws_one_joint_into_given_axes(comparison):
-    figure = Figure()
-    ax = figure.subplots()
-    assert comparison.plot(ax, joint=1) is figure
-    measured = ax.get_lines()[0].get_ydata()
-    np.testing.assert_array_equal(measured, comparison.series[0].measured[:, 1])
-
-
 def test_errors_are_drawn_against_each_signal(comparison):
     axes = np.reshape(comparison.plot_errors().axes, (2, 4))
     (series,) = comparison.series
@@ -69,15 +62,11 @@ def test_errors_are_drawn_against_each_signal(comparison):
 
 @pytest.mark.parametrize("names", [("$x^2", "\\frac {}"), ("ü" * 200, "")])
 def test_any_name_can_be_drawn(comparison, names):
-    named = replace(comparison, joint_names=names)
+    floor = np.full(2, np.nan)  # is not drawn
+    named = replace(comparison, joint_names=names, noise_floor=floor, noise_source="none")
     for figure in (named.plot(), named.plot_errors()):
         figure.set_layout_engine("none")  # texts are parsed without it too
         figure.draw_without_rendering()
-
-
-def test_an_unknown_noise_floor_is_not_drawn(comparison):
-    unknown = replace(comparison, noise_floor=np.full(2, np.nan), noise_source="none")
-    for figure in (unknown.plot(), unknown.plot_errors()):
         assert "noise" not in " ".join(t.get_text() for t in figure.legends[0].get_texts())
 
 
@@ -102,12 +91,3 @@ def test_decimated_lines_keep_their_peaks():
     assert thin_y.min() == -7.0
     assert np.all(np.diff(thin_x) > 0.0)
     np.testing.assert_array_equal(y[thin_x.astype(int)], thin_y)
-
-
-def test_zero_speed_separates_intervals():
-    signal = np.linspace(-1.0, 3.0, 4001)
-    edges = intervals(signal, around_zero=True)
-    assert 0.0 in edges
-    assert np.all(np.diff(edges) > 0.0)
-    assert edges[0] == pytest.approx(-0.98, abs=0.01)
-    assert edges[-1] == pytest.approx(2.98, abs=0.01)

@@ -1,15 +1,11 @@
 """Texts of a comparison: verdict, table, notebook."""
 
-from dataclasses import replace
-from html.parser import HTMLParser
-
 import numpy as np
 import pytest
 from comparison import two_link_data as arm
 
 import lieid_casadi as lieid
-from lieid_casadi.comparison.comparison import digits, percent, verdict
-from lieid_casadi.errors import LieidWarning
+from lieid_casadi.comparison.comparison import digits, verdict
 
 
 @pytest.fixture(scope="module")
@@ -56,38 +52,3 @@ def test_verdict_without_any_torque():
     assert "noise floor" not in verdict(comparison)
     assert comparison.to_dict()["relative_rms"] == [None, None]
     assert comparison.to_dict()["correlation"] == [None, None]
-
-
-def test_percent():
-    values = (0.02, 0.512, 0.996, 1.2, float("nan"))
-    assert [percent(x) for x in values] == ["2.0 %", "51 %", "100 %", "120 %", "–"]
-
-
-class _Tags(HTMLParser):
-    def __init__(self):
-        super().__init__()
-        self.tags, self.text = [], ""
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, attrs))
-
-    def handle_data(self, data):
-        self.text += data
-
-
-def test_html_contains_the_table_and_escapes_names(fit):
-    comparison = lieid.compare(fit, arm.recording(10.0, seed=2, noise=0.1, name="<img src=x>"))
-    comparison = replace(
-        comparison,
-        joint_names=("<script>alert(1)</script>", "elbow"),
-        warnings=(LieidWarning("<b onclick=x>"),),
-    )
-    parser = _Tags()
-    parser.feed(comparison._repr_html_())
-    assert {tag for tag, _ in parser.tags} == {
-        "p", "table", "caption", "thead", "tr", "th", "tbody", "td"
-    }  # fmt: skip
-    assert all(not attributes for _, attributes in parser.tags)
-    for text in ("<script>alert(1)</script>", "<img src=x>", "<b onclick=x>"):
-        assert text in parser.text
-    assert "noise floor: part of the error that no function of the motion explains" in parser.text
