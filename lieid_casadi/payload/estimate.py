@@ -191,8 +191,26 @@ class PayloadEstimate:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the error of each joint with and without the payload and return the figure."""
-        errors = self.rms_before, self.rms_after, self.rms_fit
-        return plot_errors(*errors, title=self.sentence, ax=ax)
+        from matplotlib.figure import Figure
+
+        places = np.arange(len(self.joint_names))
+        if ax is None:
+            size = (1.6 + 0.9 * len(places), 3.4)
+            ax = Figure(figsize=size, layout="constrained").subplots()
+        ax.bar(places - 0.2, self.rms_before, 0.38, color="0.7", label="fit alone")
+        ax.bar(places + 0.2, self.rms_after, 0.38, color="tab:blue", label="with the payload")
+        ax.hlines(
+            self.rms_fit, places - 0.42, places + 0.42, colors="black", linestyles="--",
+            linewidth=1.0, label="the fit's own held-out error",
+        )  # fmt: skip
+        ax.set_xticks(places, [f"{j + 1}" for j in places])
+        ax.set_xlabel("joint")
+        ax.set_ylabel("RMS error, N·m")
+        ax.set_title(self.sentence, fontsize=8, wrap=True)
+        ax.legend(fontsize=8)
+        drawn = ax.get_figure(root=True)
+        assert drawn is not None
+        return drawn
 
     def _repr_html_(self) -> str:
         reasons = [f"* {names}: {reason}." for names, reason in not_identified(self)]
@@ -241,32 +259,6 @@ def not_identified(payload: PayloadEstimate) -> list[tuple[str, str]]:
     for part in payload.not_identified:
         by_reason.setdefault(part.reason, []).append(part.name)
     return [(", ".join(names), reason) for reason, names in by_reason.items()]
-
-
-def plot_errors(
-    before: Array, after: Array, expected: Array, *, title: str, ax: Axes | None = None
-) -> Figure:
-    """Draw the RMS errors (n,) of the fit alone, with the payload, and those to expect."""
-    from matplotlib.figure import Figure
-
-    n = len(before)
-    if ax is None:
-        ax = Figure(figsize=(1.6 + 0.9 * n, 3.4), layout="constrained").subplots()
-    places = np.arange(n)
-    ax.bar(places - 0.2, before, 0.38, color="0.7", label="fit alone")
-    ax.bar(places + 0.2, after, 0.38, color="tab:blue", label="with the payload")
-    ax.hlines(
-        expected, places - 0.42, places + 0.42, colors="black", linestyles="--", linewidth=1.0,
-        label="the fit's own held-out error",
-    )  # fmt: skip
-    ax.set_xticks(places, [f"{j + 1}" for j in range(n)])
-    ax.set_xlabel("joint")
-    ax.set_ylabel("RMS error, N·m")
-    ax.set_title(title, fontsize=8, wrap=True)
-    ax.legend(fontsize=8)
-    drawn = ax.get_figure(root=True)
-    assert drawn is not None
-    return drawn
 
 
 def with_std(value: float, std: float) -> str:

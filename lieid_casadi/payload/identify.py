@@ -19,7 +19,6 @@ from lieid_casadi.errors import (
     NegativeMassWarning,
     PayloadMisfitWarning,
     SameRecordingWarning,
-    UnidentifiableWarning,
     unique_warnings,
 )
 from lieid_casadi.identification import Fit
@@ -100,18 +99,13 @@ def _not_identified(
         elif k > 0 and _no_mass(values, std):
             reason = f"the mass, {with_std(values[0], std[0])} kg, is not significant"
         elif not std[k] <= WEAK * sizes[k]:
-            reason = f"standard deviation {std[k]:.2g} {UNITS[k]}{_beside(k, values, std, sizes)}"
+            part = 100.0 * std[k] / max(sizes[k], 1e-300)
+            reason = f"standard deviation {std[k]:.2g} {UNITS[k]}, {part:.0f} % of its size"
             reason += ": the motion is too slow or too small"
         else:
             continue
         found.append(NotIdentified(name, reason))
     return tuple(found)
-
-
-def _beside(k: int, values: Array, std: Array, sizes: Array) -> str:
-    if k == 0:
-        return f", {100 * std[0] / abs(values[0]):.0f} % of the value"
-    return f"; the largest moment of inertia is {sizes[k]:.2g}" if k > 3 else ""
 
 
 def _hidden_reason(k: int, hidden: Array) -> str:
@@ -128,10 +122,10 @@ LABELS = tuple(name.replace("mc", "m·c") for name in LINK_PARAMETER_NAMES)
 
 
 def _fit_warnings(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarning]:
-    """Warn of properties of the fit that make it unsuitable for a payload."""
+    """Warn of recordings that the fit was trained on."""
     # parts of one file (FILE@T0:T1) have its hash and names of their own
     trained = {(source.sha256, source.name) for source in fit.provenance.recordings}
-    found: list[LieidWarning] = [
+    return [
         SameRecordingWarning(
             f"{r.name or 'the recording'} is one of the fit's training recordings: its payload is "
             "already part of the fit"
@@ -139,15 +133,6 @@ def _fit_warnings(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarnin
         for r in recordings
         if r.source_hash and (r.source_hash, r.name) in trained
     ]
-    found += [
-        UnidentifiableWarning(
-            f"training of the fit: {w}; if the loaded run excites it, the estimate of the payload "
-            "includes its error"
-        )
-        for w in fit.warnings
-        if isinstance(w, UnidentifiableWarning)
-    ]
-    return found
 
 
 def _require_same_arm(fit: Fit, estimate: LoadedRunEstimate, run: LoadedRun) -> None:
