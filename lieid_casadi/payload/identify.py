@@ -308,7 +308,7 @@ def identify_payload(
             f"{given[0].name or 'the recordings'}: no parameter of a payload can be identified "
             "from this motion with this fit; expected a motion of several joints, in both"
         )
-    _require_same_arm(fit, estimate, run)
+    _require_same_arm(fit, kept, run)
     found += [*checked, *changed]
     report("feasible body", 0.8)
     result = replace(
