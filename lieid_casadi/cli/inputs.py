@@ -206,7 +206,7 @@ def drives_of(args: argparse.Namespace, robot: Robot) -> tuple[Drive, ...] | Non
         laws = [Drive(stiffness=1.0, damping=d, relative=True) for d in gains]
     else:
         kind = "above 0, or unknown"
-        values = _numbers("--stiffness", stiffness, robot.n, kind, lambda k: k > 0.0)
+        values = _numbers("--stiffness", str(stiffness), robot.n, kind, lambda k: k > 0.0)
         laws = [Drive(stiffness=k, damping=d) for k, d in zip(values, gains, strict=True)]
     return robot.with_drives(laws).drives
 
