@@ -239,9 +239,9 @@ def _after_diagnosis(diagnosis: Diagnosis) -> list[tuple[str, str]]:
             [s.name or "REC" for s in part] for part in (diagnosis.train, diagnosis.test)
         )
         effects = ",".join(diagnosis.fit.model.effects)
-        words = ["lieid", "identify", "ROBOT", *train, *(["--test", *test] if test else [])]
-        words += ["--effects", effects, "-o", "fit.json"]
-        found.append(("fit the model with these effects", shlex.join(words)))
+        identify = ["lieid", "identify", "ROBOT", *train, *(["--test", *test] if test else [])]
+        identify += ["--effects", effects, "-o", "fit.json"]
+        found.append(("fit the model with these effects", shlex.join(identify)))
         found.append(("use it in a controller", "lieid export fit.json --to c -o code"))
     return found
 
