@@ -31,7 +31,7 @@ def fit_text(good, tmp_path_factory):
     [
         (lambda text: text[: len(text) // 2], ["truncated"]),
         (lambda text: text.replace('"schema": 4', '"schema": 99'), ["99", "newer"]),
-        (lambda text: text.replace('"values": [\n  ', '"values": [\n  NaN, '), ["NaN"]),
+        (lambda text: text.replace('"values": [\n  ', '"values": [\n  NaN, '), ["not JSON"]),
         (lambda text: text.replace('"kind": "lieid-fit"', '"kind": "other"'), ["not a fit"]),
         (lambda text: text.replace('"values": [\n  ', '"values": [\n  1.5, '), ["values"]),
         (lambda text: text.replace('"coulomb:1"', '"cuolomb:1"'), ["cuolomb"]),
