@@ -199,6 +199,9 @@ class _State:
         made = correction.of_samples(self.samples)
         if correction.time != 1.0:  # filters and rests depend on the unit of time
             made = samples_of(recordings)
+        if correction.weight:
+            whole = Screen(self.robot, made, most=len(made.t))
+            made = replace(made, tau=made.tau + whole.weight)
         return replace(
             self, robot=correction.of_robot(self.robot), recordings=recordings, samples=made
         )

@@ -38,6 +38,7 @@ class Correction:
     time: float = 1.0  # factor from the stamps to seconds
     gravity: Array | None = None  # (3,) in the model's base frame, where it is not the robot's
     derive: bool = False  # velocities are derived from the positions
+    weight: bool = False  # the stated gravity is added to the torque; by `Screen` alone
     options: tuple[str, ...] = ()  # that state it, such as ``--joint-order 1 3 2``
 
     @classmethod
@@ -56,6 +57,7 @@ class Correction:
             self.time * later.time,
             self.gravity if later.gravity is None else later.gravity,
             self.derive or later.derive,
+            self.weight or later.weight,
             self.options + later.options,
         )
 
@@ -82,7 +84,7 @@ class Correction:
         """Bytes that are the same for the same correction."""
         gravity = np.full(3, np.nan) if self.gravity is None else self.gravity
         parts = [self.position.ravel(), self.zero, self.torque.ravel(), gravity]
-        return np.concatenate([*parts, [self.late, self.time]]).tobytes()
+        return np.concatenate([*parts, [self.late, self.time, self.weight]]).tobytes()
 
     @cached_property
     def torque_matrix(self) -> Array:

@@ -144,6 +144,14 @@ class Screen:
         made = self.arm.columns(*motion, gravity)
         return np.moveaxis(made.reshape(*made.shape[:2], 4, -1), 2, 0)
 
+    @cached_property
+    def weight(self) -> Array:
+        """Torque (N, n) of the stated inertias under gravity, N·m; 0 without them."""
+        if self.parameters is None:
+            return np.zeros_like(self.thin.tau)
+        columns = np.tensordot(self.gravity, self.rigid[1:], axes=1)
+        return np.asarray(np.einsum("jkn,k->nj", columns, self.parameters))
+
     def columns(self, correction: Correction) -> Array:
         """Return rigid columns (n, k, N) under a correction."""
         gravity = self.gravity if correction.gravity is None else correction.gravity
@@ -176,12 +184,14 @@ class Screen:
         if self.parts:
             own = fitted.own_without[:, :, FRICTION]
             friction = np.einsum("pjk,jk->pj", own, given.own_power(s))
-        return Errors(fitted, stated, s.spread, friction)
+        # errors are relative to the recorded torque, which adding a weight would enlarge
+        scale = self.thin.spread if correction.weight else s.spread
+        return Errors(fitted, stated, scale, friction)
 
     def _torque(self, correction: Correction) -> Array:
         """Return corrected torques, which are shifted before instants are left out."""
         if not correction.late:
-            return correction.of_torque(self.thin)
+            return correction.of_torque(self.thin) + correction.weight * self.weight
         s = self.samples
         return replace(s, tau=correction.of_torque(s)).thinned(self.most).tau
 

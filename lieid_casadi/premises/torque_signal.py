@@ -30,15 +30,23 @@ WEIGHTLESS = 0.3
 
 
 def gravity_compensated(screen: Screen) -> Iterator[Alternative]:
-    """Yield the torque without gravity."""
-    yield Alternative(
-        "torque_gravity_compensated", (), {},
-        "The torque of this recording does not contain gravity: the controller compensates it; "
-        "without gravity in the model",
-        "record the whole torque of the joints (motor torque or current, not the torque that the "
-        "controller adds to its gravity compensation)",
-        replace(Correction.none(screen.n), gravity=np.zeros(3)),
-    )  # fmt: skip
+    """Yield the torque without gravity, and without that of the stated inertias.
+
+    A controller compensates by a model of its own: what the arm weighs more remains in the torque.
+    """
+    none = Correction.none(screen.n)
+    for with_what, correction, cost in (
+        ("without gravity in the model", replace(none, gravity=np.zeros(3)), 0.0),
+        ("with the stated gravity added to it", replace(none, weight=True), 1.0),
+    ):
+        yield Alternative(
+            "torque_gravity_compensated", (), {},
+            "The torque of this recording does not contain gravity: the controller compensates it; "
+            f"{with_what}",
+            "record the whole torque of the joints (motor torque or current, not the torque that "
+            "the controller adds to its gravity compensation)",
+            correction, cost,
+        )  # fmt: skip
 
 
 def units(screen: Screen) -> Iterator[Alternative]:
