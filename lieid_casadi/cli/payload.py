@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.report import payload_report
 
     fit, recordings = inputs.fit_and_recordings(args)
-    premises = premises_of(args, fit, recordings)
+    premises = premises_of(args, fit, recordings, loaded=True)
     with output.progress("payload") as report:
         payload = identify_payload(fit, recordings, cutoff=args.cutoff, progress=report)
     unknown = not_identified(payload)

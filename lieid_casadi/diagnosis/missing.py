@@ -32,6 +32,7 @@ from lieid_casadi.diagnosis.steps import (
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
+    LieidError,
     SameRecordingWarning,
     unique_warnings,
 )
@@ -42,6 +43,7 @@ from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import FilteredColumns
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
+from lieid_casadi.simulation import motion_gain
 
 Report = Callable[[str, float], None]
 CONTAINED = 0.1  # part of an effect's torque that a smooth function can take over
@@ -189,6 +191,9 @@ class MissingEffects:
             if not found.determined(fit, self.options.gain_deviations):
                 self.rejected[found.placement.label] = "the data do not determine its coefficients"
                 return [a for a in accepted if a is not found]
+            if not self._moves_better(fit, found, accepted):
+                self.rejected[found.placement.label] = "the simulated motion is no better with it"
+                return [a for a in accepted if a is not found]
         model, left = FinalModel.of(fit, self.segments, None), list(accepted)
         while left:
             gone = [a.placement for a in accepted if a not in left]
@@ -201,6 +206,22 @@ class MissingEffects:
                 f"{100 * max(falls[worst], 0.0):.1f} %"
             )
         return left
+
+    def _moves_better(self, fit: Fit, found: Accepted, accepted: Sequence[Accepted]) -> bool:
+        """Return whether an arm under commands moves more like the measured one with an effect.
+
+        Of such an arm the motion counts, and its torque is that of a control law, not measured.
+        True for arms that cannot be simulated: without commands, or with masses that are not
+        positive, which method ``feasible`` excludes. The test chooses nothing here either.
+        """
+        commanded = all(recording.command is not None for recording in self.train)
+        if fit.model.robot.drives is None or not commanded:
+            return True
+        without = self._fitted([a for a in accepted if a is not found])
+        try:
+            return motion_gain(without, fit, self.train).fall > 0.0
+        except LieidError:
+            return True
 
     def _accepted(self, found: Round, accepted: Sequence[Accepted]) -> list[Accepted]:
         """Return the effects of a round that pass; the reasons against the others are kept."""

@@ -210,7 +210,8 @@ def _end_errors(
 ) -> tuple[Input, list[Array]]:
     """Return the input, and each fit's errors (W, n) at the ends of the first one's windows."""
     under = input_of(fits[0], recordings, None)
-    runs = [run for recording in recordings for run in runs_of(fits[0], recording, window, under)]
+    every_run = [r for recording in recordings for r in runs_of(fits[0], recording, window, under)]
+    runs = [run for run in every_run if run.windows]
     total = sum(run.windows for run in runs)
     if not total:
         raise RecordingError(

@@ -10,6 +10,7 @@ from drives.commanded import LAWS, TWO_LINK, commanded, measured
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
+from lieid_casadi.diagnosis import missing
 from lieid_casadi.effects.backlash import place_in_play
 from lieid_casadi.effects.command_delay import held_and_late
 from lieid_casadi.effects.registry import make
@@ -19,6 +20,7 @@ from lieid_casadi.identification.regression.variable_projection import command_e
 from lieid_casadi.recording import process
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.robot.yaml_file import write_yaml
+from lieid_casadi.simulation.simulate import MotionGain
 
 ROBOT = TWO_LINK.with_drives(LAWS)
 BASE = "coulomb,viscous,offset"
@@ -265,3 +267,13 @@ def test_rotor_inertia_is_a_default_effect_where_torque_is_that_of_a_law(runs):
     measured_torque = replace(with_torque(plain), tau=np.ones_like(plain.q))
     assert "armature" not in default_effects(ROBOT, [measured_torque]).names
     assert "armature" not in default_effects(TWO_LINK, [with_torque(plain)]).names
+
+
+def test_an_effect_without_which_the_arm_moves_as_well_is_not_added(runs, monkeypatch):
+    """The motion of an arm under commands counts, not the torque of its law alone."""
+    train, test = (with_torque(delayed(run)) for run in runs)
+    worse = MotionGain(np.zeros(2), np.zeros(2), -0.1, 0.01)
+    monkeypatch.setattr(missing, "motion_gain", lambda before, after, recordings: worse)
+    found = lieid.diagnose(lieid.Model(ROBOT, BASE), train, test)
+    assert not found.steps
+    assert "the simulated motion is no better with it" in dict(found.rejected).values()
