@@ -244,7 +244,11 @@ class Model:
     def advance(
         self, before: EffectSignals, now: EffectSignals, shapes: ca.SX, states: ca.SX
     ) -> ca.SX:
-        """Return the states at a sample, from the signals and states (S,) at the one before it."""
+        """Return the states (S,) at a sample.
+
+        They follow from the ``states`` (S,) and signals ``before`` it, its signals ``now``, and
+        the ``shapes`` (s,).
+        """
         after: list[ca.SX] = []
         for p, shape, state in self._named(shapes, states):
             if state:

@@ -19,11 +19,6 @@ class DiagnosisOptions:
     penalty: float = 1.0
     #: Effects of a path at most, which is reported. Cost.
     most_steps: int = 30
-    #: Effective number of rows that make up a column, (Σc²)²/Σc⁴. With fewer a single disturbance
-    #: decides the coefficient. Simulations.
-    least_support: float = 5.0
-    #: Refinements of grids of shape parameters. Cost.
-    refinements: int = 1
     #: Held-out parts. Statistics: ten is usual for cross-validation.
     folds: int = 10
     #: Standard errors by which the mean gain on held-out parts must exceed zero. Statistics: about

@@ -25,6 +25,9 @@ from lieid_casadi.identification.uncertainty.noise_model import Noise, noise_of
 
 SMOOTH = Smooth.name
 REFINEMENT = (1 / 3, 2 / 3)  # positions between two grid points
+#: Effective number of rows that make up a column, (Σc²)²/Σc⁴: with fewer a single disturbance
+#: decides the coefficient.
+LEAST_SUPPORT = 5.0
 PROMISING = 0.5  # of its penalty that a group must gain to be in the paths outside held-out parts
 LEAST_RIVAL = 0.5  # of the gain of a group of the path: rivals from here are refined, too
 
@@ -91,7 +94,7 @@ def search(
     nothing = np.zeros((0, sum(run.count for run in rows.runs)), dtype=bool)
     whole: tuple[int, ...] = ()
     paths = Paths(*_weighted(rows, scale, prior), nothing)
-    for _ in range(options.refinements + 1):
+    for _ in range(2):  # on the first grid, then on finer ones around what it chose
         whole = forward(paths, -1, _rules(paths.columns, rows, options))
         if noise is None:
             scale = rows.spread(_residual_beside(paths, whole, rows, scale))
@@ -226,7 +229,7 @@ def _rules(
     independent = np.maximum(count[columns.owner] / more, 2.0)
     return Rules(
         options.penalty * columns.parameters * more * np.log(independent),
-        columns.support > options.least_support,
+        columns.support > LEAST_SUPPORT,
         np.array([c.name == SMOOTH for c in columns.owners], dtype=bool)[columns.owner],
         allowed,
         options.most_steps,
