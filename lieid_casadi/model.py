@@ -229,7 +229,7 @@ class Model:
     def effect_columns(
         self, signals: EffectSignals, shapes: ca.SX, states: ca.SX | None = None
     ) -> ca.SX:
-        """Return the effects' columns (n, m), sparse, given shape parameters (s,).
+        """Return the effects' columns (n, m), sparse, given ``signals`` and ``shapes`` (s,).
 
         ``states`` (S,): of effects with memory; without them these raise `ModelError`.
         """
@@ -257,7 +257,7 @@ class Model:
         return ca.vertcat(*after)
 
     def state_rates(self, signals: EffectSignals, shapes: ca.SX, states: ca.SX) -> ca.SX:
-        """Return the time derivatives (S,) of the states of effects with memory."""
+        """Return the time derivatives (S,) of ``states`` at given ``signals`` and ``shapes`` (s,)."""
         rates: list[ca.SX] = []
         for p, shape, state in self._named(shapes, states):
             if state:

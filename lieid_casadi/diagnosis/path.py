@@ -416,9 +416,14 @@ def forward(paths: Paths, part: int, rules: Rules) -> tuple[int, ...]:
 
 
 def _grown(state: PathState, rules: Rules) -> PathState:
-    """Return the state with the groups added that gain more than their penalty."""
+    """Return the state with the groups added that gain more than their penalty.
+
+    It ends where groups that are nearly dependent would replace each other for ever.
+    """
     refused = np.zeros(len(rules.usable), dtype=bool)
-    while len(state.groups) < rules.most:
+    seen = set[frozenset[int]]()
+    while len(state.groups) < rules.most and frozenset(state.groups) not in seen:
+        seen.add(frozenset(state.groups))
         best = _best(state, rules, refused)
         if best is None:
             break

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lieid_casadi.diagnosis import path
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import assemble
 from lieid_casadi.diagnosis.evidence import HeldOut, judge
@@ -117,3 +118,11 @@ def test_a_compromise_of_two_causes_gives_way_to_them():
     span = Span.of(model, np.split(residual, 2))
     paths = Paths(span, columns, np.zeros((0, 2 * ROWS), bool))
     assert set(forward(paths, -1, rules(columns))) == {1, 2}
+
+
+def test_a_path_ends_where_groups_replace_each_other(monkeypatch):
+    """A hang on a recording of 0.3 s correlated noise: an exchange took back what was added."""
+    model, residual, columns = problem(4, signal=(2, 5))
+    paths = Paths(Span.of(model, np.split(residual, 2)), columns, parts().out)
+    monkeypatch.setattr(path, "_exchanged", lambda state, *_: state.without(state.groups[-1]))
+    assert len(forward(paths, -1, rules(columns))) == 1
