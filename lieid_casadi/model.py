@@ -257,7 +257,7 @@ class Model:
         return ca.vertcat(*after)
 
     def state_rates(self, signals: EffectSignals, shapes: ca.SX, states: ca.SX) -> ca.SX:
-        """Return the time derivatives (S,) of ``states`` at given ``signals`` and ``shapes`` (s,)."""
+        """Return the derivatives (S,) of ``states``, given ``signals`` and ``shapes`` (s,)."""
         rates: list[ca.SX] = []
         for p, shape, state in self._named(shapes, states):
             if state:
