@@ -14,8 +14,8 @@ def run(args: argparse.Namespace) -> output.Outcome:
     """Write a fit as C code for a controller, or as a URDF or a MuJoCo model for simulators.
 
     fit FIT: input  fit to export
-    --to {c,urdf,mjcf,isaaclab,ur-friction} required  C99 code, URDF, MuJoCo model,
-        actuators of Isaac Lab and mjlab, friction of UR's driver
+    --to {c,urdf,mjcf,usd,isaaclab,ur-friction} required  C99 code, URDF, MuJoCo model,
+        USD stage, actuators of Isaac Lab and mjlab, friction of UR's driver
     @FOLDER
     --prefix NAME  prefix of all C names; default: arm
     --functions NAME,NAME…  C functions to write, such as torque,mass_matrix; default: all
@@ -24,6 +24,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
         parameters; default: none
     --compensated FIT2: input  for ur-friction: fit of motion under direct torque with the
         default scales
+    --stage FILE: input  for usd: your own stage, into whose copy the numbers are written
     @EFFECTS_FILE
     """
     from lieid_casadi.exporters.export import export
@@ -44,6 +45,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
         functions=None if args.functions is None else args.functions.split(","),
         runtime=() if args.runtime is None else args.runtime.split(","),
         compensated=None if args.compensated is None else Fit.load(args.compensated),
+        stage=args.stage,
         force=args.force,
     )
     written = f"{', '.join(path.name for path in made.files)} written to {args.output}"

@@ -1,4 +1,4 @@
-"""Export of a fit by format: C for controllers, URDF and MJCF for simulators."""
+"""Export of a fit by format: C for controllers, URDF, MJCF and USD for simulators."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from lieid_casadi.exporters.isaaclab import isaaclab_files
 from lieid_casadi.exporters.mjcf import mjcf_files
 from lieid_casadi.exporters.ur_friction import ur_friction_files
 from lieid_casadi.exporters.urdf import urdf_files
+from lieid_casadi.exporters.usd import usd_files
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.output_folder import check_folder, write_folder
 
-Format = Literal["c", "urdf", "mjcf", "isaaclab", "ur-friction"]
+Format = Literal["c", "urdf", "mjcf", "usd", "isaaclab", "ur-friction"]
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ def export(
     functions: Sequence[str] | None = None,
     runtime: Sequence[str] = (),
     compensated: Fit | None = None,
+    stage: str | Path | None = None,
     force: bool = False,
 ) -> Export:
     """Write a fit for a controller or a simulator.
@@ -51,11 +53,11 @@ def export(
     Parameters
     ----------
     fit : Fit
-        For ``urdf`` and ``mjcf`` of method ``feasible``.
+        For ``urdf``, ``mjcf`` and ``usd`` of method ``feasible``.
     folder : str or Path
         Made if it does not exist; written as a whole or not at all.
-    to : {"c", "urdf", "mjcf", "isaaclab", "ur-friction"}
-        C99 code with its self-test, a URDF, a MuJoCo model,
+    to : {"c", "urdf", "mjcf", "usd", "isaaclab", "ur-friction"}
+        C99 code with its self-test, a URDF, a MuJoCo model, a USD stage of your own,
         Isaac Lab's actuators, or friction for Universal Robots' direct torque control.
     prefix : str, optional
         Of all C names, so that one program can contain several arms; ``arm`` if left out.
@@ -69,6 +71,8 @@ def export(
         and shape parameters).
     compensated : Fit, optional
         For ``ur-friction``: a fit of motion under direct torque with the default scales.
+    stage : str or Path, optional
+        For ``usd``: the stage into whose copy the numbers are written.
     force : bool
         Replace what an earlier export wrote into the folder; other files are kept.
 
@@ -93,11 +97,15 @@ def export(
         raise ExportError("prefix, functions and runtime apply to C code; expected to='c'")
     if to != "ur-friction" and compensated is not None:
         raise ExportError("compensated applies to ur-friction; expected to='ur-friction'")
+    if to != "usd" and stage is not None:
+        raise ExportError("stage applies to usd; expected to='usd'")
     if to == "c":
         names = "arm" if prefix is None else prefix
         files, notes = c_files(fit, prefix=names, functions=functions, runtime=runtime)
     elif to == "ur-friction":
         files, notes = ur_friction_files(fit, compensated)
+    elif to == "usd":
+        files, notes = usd_files(fit, stage)
     else:
         files, notes = {"urdf": urdf_files, "mjcf": mjcf_files, "isaaclab": isaaclab_files}[to](fit)
     return Export(write_folder(folder, files, force=force), tuple(notes))
