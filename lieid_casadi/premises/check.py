@@ -269,7 +269,8 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
     certain = clear and _ratio(ratios[kind]) <= WRONG and bool(np.all(ratios[kind] < WORSE))
     if by_stated:  # on one joint alone, less is within the errors of stated inertias
         shown = ratios[1] < SHOWS_STATED
-        certain &= shown.sum() > 1 or bool(np.any(shown & (before.relative[1] > match.SOUND)))
+        plain = (before.relative[1] > match.SOUND) | ((before.driven < 0) & (after.driven > 0))
+        certain &= shown.sum() > 1 or bool(np.any(shown & plain))
     return _finding(alternative, before, after, kind, certain=certain and not alternative.small)
 
 
