@@ -187,9 +187,12 @@ def _changed_friction(
 
 
 def _payload_warnings(
-    fit: Fit, result: PayloadEstimate, estimate: LoadedRunEstimate
+    fit: Fit, result: PayloadEstimate, estimate: LoadedRunEstimate, residuals: Array
 ) -> list[LieidWarning]:
-    """Warn of a negative mass, an infeasible body, a large residual, missing convergence."""
+    """Warn of a negative mass, an infeasible body, large ``residuals`` (n,), no convergence.
+
+    These are with the friction of the fit: friction identified again imitates another arm.
+    """
     found: list[LieidWarning] = []
     if result.mass < 0.0:
         significant = result.mass < -INSIGNIFICANT * result.mass_std
@@ -210,11 +213,12 @@ def _payload_warnings(
             )
         )
     own = _own_error(fit)
-    for j, residual in enumerate(estimate.noise):
+    for j, residual in enumerate(residuals):
         if np.isfinite(result.rms_after[j]) and residual > MISFIT * own[j]:
             found.append(
                 PayloadMisfitWarning(
-                    f"joint {j + 1}: the residual with the payload is {residual:.3g} N·m, "
+                    f"joint {j + 1}: the residual with the payload and the friction of the fit is "
+                    f"{residual:.3g} N·m, "
                     f"{residual / own[j]:.1f} times the fit's own error; the payload is less "
                     "accurate than its standard deviations state (lieid diagnose FIT REC finds "
                     "what else has changed)"
@@ -316,7 +320,7 @@ def identify_payload(
         recordings=tuple(Source.of(r) for r in given),
     )
     found += [w for segment in segments for w in segment.warnings]
-    found += _payload_warnings(fit, result, estimate)
+    found += _payload_warnings(fit, result, estimate, kept.noise)
     report("done", 1.0)
     return replace(result, warnings=unique_warnings(found))
 
