@@ -289,7 +289,9 @@ def _placements(
     for p in placed:
         if p.joint != joint or p.source is not None:
             raise EffectError(f"effect {p.label} does not act on joint {joint + 1} of the curve")
-        if hasattr(p.effect, "along") or OTHER_SIGNALS & set(p.effect.signals):
+        # effects with memory are in steady state on a curve
+        elsewhere = bool(OTHER_SIGNALS & set(p.effect.signals)) and not p.effect.states
+        if hasattr(p.effect, "along") or elsewhere:
             raise EffectError(
                 f"{p.effect.label} is not friction of speed and load; use identify instead"
             )

@@ -88,6 +88,11 @@ def test_the_papers_model_fits_equally_with_more_parameters(curve, fit):
     assert paper.rms < 1.05 * fit.rms
 
 
+def test_an_effect_with_memory_is_in_steady_state_on_a_curve(curve):
+    dahl, coulomb = (fit_friction(curve, f"viscous,{name}") for name in ("presliding", "coulomb"))
+    np.testing.assert_allclose(dahl.predicted, coulomb.predicted, rtol=1e-6)
+
+
 def test_the_default_model_has_load_friction_where_the_load_varies(curve):
     assert fit_friction(curve).effects == tuple(TRUTH.split(","))
     constant = dataclasses.replace(curve, load=np.ones(len(curve)))
