@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 DEFAULT = "coulomb,viscous,stribeck"  # with load_friction where the load varies
 LONG_WAY = 1e3  # rad, after which effects with memory are in steady state
 OTHER_SIGNALS = {"q", "ddq", "temperature", "time"}  # that a curve does not have
-STARTS, DESCENTS = 40, 4  # values of the shapes that are tried, and local searches from the best
+STARTS, DESCENTS = 200, 10  # values of the shapes that are tried, and local searches from the best
 EVALUATIONS = 50  # of the residual in one local search
 ZERO_COLUMN = 1e-9  # norm relative to the largest column below which a column counts as zero
 INVOLVED = 1e-3  # scaled component of a direction without information that is part of it
