@@ -66,6 +66,8 @@ def smooth_candidates(
 
 def followed_signals(rows: Rows, joint: int, residual: Array) -> tuple[str, ...]:
     """Return the one or two signals that a joint's residual (R_j,) follows most; ``t`` is time."""
+    if not len(residual):  # a joint that does not move in these recordings
+        return ()
     basis, _ = np.linalg.qr(rows.model[joint])
     target = (residual - basis @ (basis.T @ residual))[:, None]
     target *= np.sqrt(len(target)) / max(float(np.linalg.norm(target)), 1e-300)

@@ -401,3 +401,13 @@ def test_table_and_figure_show_the_same_errors_of_joints_in_motion():
     np.testing.assert_allclose(heights, np.concatenate([e / errors[0] for e in errors]))
     since = lieid.diagnose(lieid.identify(MODEL, train), test)
     assert since.shown[0] == "new recordings, joints in motion"
+
+
+def test_a_joint_that_is_held_in_training_may_be_unexplained_in_the_test():
+    t = np.arange(0.0, 15.0, 0.001)
+    motion = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=3).at(t)
+    q, dq, ddq = (x * [1.0, 0.0] for x in motion)
+    arm = arm_with(("load_friction", 1, 5.0))
+    train = plant.measure_along(arm, t, q, dq, ddq, sensors=plant.demo_sensors(ROBOT), seed=3)
+    diagnosis = lieid.diagnose(MODEL, train, run(arm, 2))
+    assert (1, ()) in [(part.joint, part.depends_on) for part in diagnosis.unexplained]
