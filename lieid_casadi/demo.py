@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -135,7 +134,7 @@ def demo_recordings(progress: Progress | None = None) -> tuple[Path, Path]:
     cache, or in a temporary folder where there is none.
     """
     report = progress or (lambda stage, fraction: None)
-    folder = cache_folder() or Path(tempfile.mkdtemp(prefix="lieid-demo-"))
+    folder = cache_folder()
     files = {name: folder / f"demo-{VERSION}" / f"demo_{name}.npz" for name in RUNS}
     robot = Robot.load(DEMO_ROBOT)
     for k, (name, file) in enumerate(files.items()):

@@ -20,11 +20,11 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --prefix NAME  prefix of all C names; default: arm
     --functions NAME,NAME…  C functions to write, such as torque,mass_matrix; default: all
         that the fit has
-    --runtime NAME,NAME…  numbers that are arguments of the C functions: payload,
-        parameters; default: none
+    --payload  a body at the tool is an argument of the C functions
     --compensated FIT2: input  for ur-friction: fit of motion under direct torque with the
         default scales
-    --stage FILE: input  for usd: your own stage, into whose copy the numbers are written
+    --into FILE: input  for urdf, mjcf and usd: the file into whose copy the numbers are
+        written, such as the export of the other arm of a robot; default: the robot's own
     @EFFECTS_FILE
     """
     from lieid_casadi.exporters.export import export
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     for name, given, what in (
         (f"--prefix {args.prefix}:", args.prefix is not None, "a prefix applies"),
         ("--functions:", args.functions is not None, "a choice of functions applies"),
-        ("--runtime", args.runtime is not None, "applies"),
+        ("--payload", args.payload, "applies"),
     ):
         if given and args.to != "c":
             raise UsageError(f"{name} {what} to C code; expected --to c")
@@ -43,9 +43,9 @@ def run(args: argparse.Namespace) -> output.Outcome:
         to=args.to,
         prefix=args.prefix,
         functions=None if args.functions is None else args.functions.split(","),
-        runtime=() if args.runtime is None else args.runtime.split(","),
+        payload=args.payload,
         compensated=None if args.compensated is None else Fit.load(args.compensated),
-        stage=args.stage,
+        into=args.into,
         force=args.force,
     )
     written = f"{', '.join(path.name for path in made.files)} written to {args.output}"

@@ -6,9 +6,10 @@ import argparse
 import json
 import logging
 import subprocess
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output
@@ -17,7 +18,7 @@ from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
-    from lieid_casadi.fleet.run import FleetProgress, FleetRun
+    from lieid_casadi.fleet.run import FleetRun
     from lieid_casadi.tables import Table
 
 NEW_ALARM, SILENT, BOTH = 5, 6, 7  # exit status with --exit-code
@@ -43,8 +44,6 @@ def run(args: argparse.Namespace) -> int:
     --memory SIZE = 2GB  limit of each process
     --timeout S: above = 600  seconds after which an arm-night has failed
     --since DATE: night  first night to run, such as 2026-11-20
-    --keep DAYS: count  remove runs of nights that are older than this, after the run;
-        alarms are kept
     --night DATE: night  newest night on which every arm is expected to have recorded;
         default: yesterday, UTC
     --rerun  compute results of an earlier method of diagnosis again
@@ -70,21 +69,19 @@ def run(args: argparse.Namespace) -> int:
     settings = RunOptions(
         scheduler=args.scheduler, workers=args.workers, memory=args.memory, timeout=args.timeout
     )
-    removed: int | None = None
+    start = time.monotonic()
     with _log_file(args.log) as log, History(args.output, wait=args.wait) as history:
         with output.progress("fleet") as report:
 
-            def advanced(state: FleetProgress) -> None:
-                rate = f"{state.rate:.0f} per minute, {state.left:.0f} s left"
-                stage = f"{state.finished} of {state.total} arm-nights, {rate}"
-                report(stage, state.finished / max(state.total, 1))
+            def advanced(finished: int, total: int) -> None:
+                rate = finished / (time.monotonic() - start)  # per second
+                left = f"{60.0 * rate:.0f} per minute, {(total - finished) / rate:.0f} s left"
+                report(f"{finished} of {total} arm-nights, {left}", finished / total)
 
             result = run_fleet(
                 fleet, history, options=settings, since=args.since, newest=args.night,
                 rerun=args.rerun, progress=advanced,
             )  # fmt: skip
-        if args.keep is not None:
-            removed = history.remove_before(datetime.now(UTC).date() - timedelta(days=args.keep))
         changed = alarms_to_report(history, horizon=args.horizon)
         for alarm in changed:
             log.warning("alarm: %s: %s", alarm.serial, alarm.sentence)
@@ -93,8 +90,6 @@ def run(args: argparse.Namespace) -> int:
         unlike = outliers(history)
     new = {(alarm.serial, alarm.raised) for alarm in result.new_alarms}
     _print_run(args, result)
-    if removed is not None:
-        output.show(f"{removed} runs of nights more than {args.keep} days ago were removed.")
     for alarm in changed:
         kind = "New" if (alarm.serial, alarm.raised) in new else "Worse"
         output.show(f"{kind} alarm: {alarm.serial}: {alarm.sentence}")
@@ -166,7 +161,6 @@ def report(args: argparse.Namespace) -> output.Outcome:
 
     @HISTORY
     --html FILE: output  write the report
-    --since DATE: night  first night of trends and recordings
     --json FILE: output  write the alarms as JSON
     """
     from lieid_casadi.fleet.alarms import evidence, read_alarms
@@ -180,7 +174,7 @@ def report(args: argparse.Namespace) -> output.Outcome:
             "alarms": [evidence(history, alarm) for alarm in alarms],
             "outliers": [vars(outlier) for outlier in unlike],
         }
-        page = fleet_report(history, since=args.since) if args.html is not None else ""
+        page = fleet_report(history) if args.html is not None else ""
     active = [alarm for alarm in alarms if alarm.closed is None]
 
     actions = [f"{alarm.serial}: {alarm.sentence}. Action: {alarm.action}." for alarm in active]
@@ -224,28 +218,18 @@ def check(args: argparse.Namespace) -> output.Outcome:
     )
 
 
-@command("fleet export", "a fleet's state for Prometheus, its history as Parquet")
+@command("fleet export", "a fleet's state for Prometheus")
 def export(args: argparse.Namespace) -> output.Outcome:
-    """Write the state of a fleet for Prometheus, or its history as Parquet files.
-
-    The metrics are in the text format of node-exporter's textfile collector.
+    """Write the state of a fleet in the text format of node-exporter's textfile collector.
 
     @HISTORY
-    --prometheus FILE.prom: output  write metrics to this file
-    --parquet DIR: folder  write one file per table
-    @FORCE
+    --prometheus FILE.prom: output required  write metrics to this file
     """
     from lieid_casadi.fleet.history import History
     from lieid_casadi.fleet.prometheus import prometheus_text
-    from lieid_casadi.output_folder import output_folder
 
-    if args.prometheus is None and args.parquet is None:
-        raise UsageError("nothing to write; expected --prometheus FILE.prom or --parquet DIR")
     with History(args.history, read_only=True) as history:
-        metrics = prometheus_text(history).encode() if args.prometheus is not None else b""
-        if args.parquet is not None:
-            with output_folder(args.parquet, force=args.force) as folder:
-                history.export_parquet(folder)
+        metrics = prometheus_text(history).encode()
     return output.Outcome(files={"prometheus": lambda: metrics})
 
 

@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --seed N: seed = 0  seed of the draws
     @RECORDING @JSON
     """
-    from lieid_casadi.exporters.samples import export_samples
+    from lieid_casadi.exporters.export import export_samples
     from lieid_casadi.identification import Fit
     from lieid_casadi.identification.ensemble import ensemble_coverage, model_weights
 

@@ -7,6 +7,7 @@ synchronized and renamed: each is whole, and two processes may build the same on
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import stat
@@ -19,12 +20,12 @@ logger = logging.getLogger("lieid_casadi")
 KEEP = 2000  # libraries of about 60 kB; beyond it the oldest are deleted
 
 
-def cache_folder() -> Path | None:
-    """Return the folder of compiled libraries, None if the environment names none.
+def cache_folder() -> Path:
+    """Return the folder of compiled libraries.
 
     It is ``$LIEID_CACHE_DIR``, else ``lieid-casadi`` in ``$XDG_CACHE_HOME`` or ``~/.cache``. A
-    relative ``XDG_CACHE_HOME`` is ignored, as its specification asks, and so is a home directory
-    that is unknown or relative.
+    relative ``XDG_CACHE_HOME`` is ignored, as its specification asks; without a home directory it
+    is a folder of the user's own among the temporary files.
     """
     stated = os.environ.get("LIEID_CACHE_DIR")
     if stated:
@@ -33,15 +34,18 @@ def cache_folder() -> Path | None:
     for base in (Path(os.environ.get("XDG_CACHE_HOME", "")), home / ".cache"):
         if base.is_absolute():
             return base / "lieid-casadi"
-    return None
+    return _temporary_folder()
+
+
+def _temporary_folder() -> Path:
+    return Path(tempfile.gettempdir(), f"lieid-casadi-{os.geteuid()}")
 
 
 def find(key: str) -> Path | None:
     """Return the path of a key's library if it is there and safe to load, else None."""
-    folder = cache_folder()
-    for place in (*([folder] if folder else []), *_private_folders):
-        path = place / f"{key}.so"
-        if path.exists() and not unsafe(place) and not unsafe(path):
+    for folder in (cache_folder(), _temporary_folder()):
+        path = folder / f"{key}.so"
+        if path.exists() and not unsafe(folder) and not unsafe(path):
             return path
     return None
 
@@ -60,23 +64,25 @@ def unsafe(path: Path) -> str:
 
 
 def store(key: str, library: bytes) -> Path:
-    """Write a library to the cache, or to a private temporary folder if the cache is not usable.
+    """Write a library to the cache, or among the temporary files if the cache is not usable.
 
     Raises `OSError`: neither can be written.
     """
     folder = cache_folder()
-    reason = "the home directory is unknown"
-    if folder is not None:
-        try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            reason = unsafe(folder)
-            if not reason:
-                path = _write(folder, key, library)
-                _prune(folder)
-                return path
-        except OSError as error:
-            reason = error.strerror or str(error)
-    return _write(_private_folder(folder, reason), key, library)
+    try:
+        return _write(folder, key, library)
+    except OSError as error:
+        _notice(folder, error.strerror or str(error))
+    return _write(_temporary_folder(), key, library)
+
+
+@cache
+def _notice(folder: Path, reason: str) -> None:
+    logger.warning(
+        "cache folder %s is not used (%s): compiled models are kept in %s; make it a folder of "
+        "your own that only you can write to, or set LIEID_CACHE_DIR to one",
+        folder, reason, _temporary_folder(),
+    )  # fmt: skip
 
 
 def discard(path: Path) -> None:
@@ -88,6 +94,10 @@ def discard(path: Path) -> None:
 
 
 def _write(folder: Path, key: str, library: bytes) -> Path:
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    reason = unsafe(folder)
+    if reason:
+        raise PermissionError(errno.EACCES, reason)
     path = folder / f"{key}.so"
     handle, name = tempfile.mkstemp(prefix=f".{key[:16]}-", dir=folder)
     try:
@@ -100,36 +110,9 @@ def _write(folder: Path, key: str, library: bytes) -> Path:
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
-    return path
-
-
-def _prune(folder: Path) -> None:
     libraries = list(folder.glob("*.so"))
-    if len(libraries) <= KEEP:
-        return
-    dated = []
-    for path in libraries:
-        try:
-            dated.append((path.stat().st_mtime, path))
-        except OSError:  # another process pruned it
-            continue
-    for _, path in sorted(dated)[: len(dated) - KEEP // 2]:
-        path.unlink(missing_ok=True)
-
-
-_private_folders: list[Path] = []
-_open_folders: list[tempfile.TemporaryDirectory[str]] = []  # deleted when the program ends
-
-
-@cache
-def _private_folder(unusable: Path | None, reason: str) -> Path:
-    folder = tempfile.TemporaryDirectory(prefix="lieid-casadi-")  # mode 700
-    _open_folders.append(folder)
-    _private_folders.append(Path(folder.name))
-    logger.warning(
-        "cache folder %s is not used (%s): compiled models are kept for this run only; make it a "
-        "folder of your own that only you can write to, or set LIEID_CACHE_DIR to one",
-        unusable or "~/.cache/lieid-casadi",
-        reason,
-    )
-    return Path(folder.name)
+    if len(libraries) > KEEP:
+        dated = sorted(libraries, key=lambda p: p.stat().st_mtime if p.exists() else 0.0)
+        for old in dated[: len(libraries) - KEEP // 2]:
+            old.unlink(missing_ok=True)
+    return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -24,6 +25,7 @@ from lieid_casadi.exporters.simulator_joints import (
     linear_friction,
     number,
     passive_torques,
+    source_of,
     vector,
 )
 from lieid_casadi.exporters.xml_text import allowed, comment
@@ -47,17 +49,17 @@ EXPRESSED = frozenset(
 )  # fmt: skip
 
 
-def mjcf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
+def mjcf_files(fit: Fit, into: str | Path | None = None) -> tuple[dict[str, bytes], list[str]]:
     """Return the files of a MuJoCo model by their names, and notes on its approximations.
 
-    That of a robot from a MuJoCo model is that model with the numbers of the fit in place
-    (`mjcf_in_place`); that of others, ``ROBOT.xml``, is written from screws.
+    That of a robot from a MuJoCo model is that model, or ``into``, with the numbers of the fit in
+    place (`mjcf_in_place`); that of others, ``ROBOT.xml``, is written from screws.
 
     Raises `ExportError`: the fit's masses and inertias are not certified to be physically
     consistent; the message has the command that makes a fit whose are.
     """
     check_possible(fit)
-    source, why = fit.model.robot.source, list[str]()
+    source, why = source_of(fit, into), list[str]()
     if source is not None and source.kind == "mjcf":
         try:
             friction = linear_friction(fit)
@@ -65,7 +67,11 @@ def mjcf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
             notes = [*notes_of(fit, friction, ()), *notes]
             return {name: text.encode() for name, text in files.items()}, notes
         except CannotEdit as reason:
+            if into is not None:
+                raise
             why = [f"written anew, without the rest of the robot's own model, because {reason}"]
+    if into is not None:
+        raise ExportError(f"{into}: not a MuJoCo model")
     text, notes = mjcf_text(fit)
     return {f"{file_name(fit.model.robot.name)}.xml": text.encode()}, [*why, *notes]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import nnls
@@ -13,6 +14,8 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError
 from lieid_casadi.friction_curves.friction_fit import steady_columns
 from lieid_casadi.identification.fit import Fit
+from lieid_casadi.robot import Robot
+from lieid_casadi.robot.description import RobotSource
 from lieid_casadi.robot.inertia import body_inertia
 
 SAMPLES = 400  # of speed, load and position, at which friction is evaluated
@@ -229,6 +232,27 @@ def check_possible(fit: Fit) -> None:
         f"expected a fit of method feasible: lieid identify ROBOT {runs}{option} --method feasible "
         "-o fit.json"
     )
+
+
+def source_of(fit: Fit, into: str | Path | None) -> RobotSource | None:
+    """Return the file that an export edits: that of the robot, or another one with the same arm.
+
+    Raises `ExportError`: the joints of the other file have other names or other places.
+    """
+    robot = fit.model.robot
+    if into is None:
+        return robot.source
+    last = robot.joints[-1].link_name
+    tip, lock = (robot.source.tip or last, robot.source.lock) if robot.source else (last, ())
+    read = Robot.load(into, tip=tip, lock=lock)
+    stated, expected = ([joint.name for joint in each.joints] for each in (read, robot))
+    places = zip(read.joints, robot.joints, strict=False)
+    if stated != expected or any(not np.allclose(a.home, b.home, atol=1e-6) for a, b in places):
+        raise ExportError(
+            f"{into}: joints up to {tip} are {', '.join(stated)}; expected {', '.join(expected)}, "
+            "at the places that they have in the fit"
+        )
+    return read.source
 
 
 def file_name(name: str) -> str:

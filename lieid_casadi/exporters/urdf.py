@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from lieid_casadi.exporters.simulator_joints import (
     negative,
     number,
     simulator_joints,
+    source_of,
 )
 from lieid_casadi.exporters.xml_text import Element, XmlText, attribute
 from lieid_casadi.identification.feasible.certificate import position_range
@@ -48,10 +50,10 @@ SEEN = 1e-6  # N·m per unit of a direction that the recordings did not excite
 REACH = 1e3  # m, limit of prismatic joints without limits, which URDF requires
 
 
-def urdf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
+def urdf_files(fit: Fit, into: str | Path | None = None) -> tuple[dict[str, bytes], list[str]]:
     """Return ``ROBOT.urdf``, and notes on it.
 
-    It is the one that the robot was read from, with the identified inertias and, where
+    It is the one that the robot was read from, or ``into``, with the identified inertias and, where
     the model has them, viscous and Coulomb friction; everything else stays as it was. A robot
     from YAML gets a URDF written from its screws.
 
@@ -59,7 +61,7 @@ def urdf_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
     consistent (the message has the command that makes a fit whose are), or the recordings did not
     show the gravity load of a joint.
     """
-    text, notes = urdf_text(fit)
+    text, notes = urdf_text(fit, into)
     check_gravity(fit)
     return {f"{file_name(fit.model.robot.name)}.urdf": text.encode()}, notes
 
@@ -98,12 +100,14 @@ def check_gravity(fit: Fit) -> None:
         )
 
 
-def urdf_text(fit: Fit) -> tuple[str, list[str]]:
+def urdf_text(fit: Fit, into: str | Path | None) -> tuple[str, list[str]]:
     """Return the URDF and notes on it; raises as `urdf_files`."""
     check_possible(fit)
-    robot = fit.model.robot
-    if robot.source is not None and robot.source.kind == "urdf":
-        text, notes = edited_urdf(fit, robot.source.text)
+    robot, source = fit.model.robot, source_of(fit, into)
+    if source is not None and source.kind == "urdf":
+        text, notes = edited_urdf(fit, source.text)
+    elif into is not None:
+        raise ExportError(f"{into}: not a URDF")
     else:
         bodies = fit.link_parameters.reshape(-1, 10)
         text, notes = written_urdf(robot, bodies, simulator_joints(fit))

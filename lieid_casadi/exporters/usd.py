@@ -1,4 +1,4 @@
-"""``lieid export FIT --to usd --stage ARM.usd``: the user's own stage with identified masses.
+"""``lieid export FIT --to usd --into ARM.usd``: the user's own stage with identified masses.
 
 Mass properties of the moving links and the armature of the joints are written into the root layer;
 all else stays as it is. A link is what the joint of the robot's name moves (``physics:body1``).
@@ -28,21 +28,21 @@ from lieid_casadi.robot.inertia import body_inertia
 AT_ORIGIN = 1e-6  # m: a joint's frame is the link's own
 
 
-def usd_files(fit: Fit, stage_file: str | Path | None) -> tuple[dict[str, bytes], list[str]]:
+def usd_files(fit: Fit, into: str | Path | None) -> tuple[dict[str, bytes], list[str]]:
     """Return the stage with the numbers of a fit by its name, and notes.
 
     Raises `ExportError`: no stage is given or it cannot be read, ``usd-core`` is not installed, a
     joint of the robot is not in the stage, or the fit is refused as for ``urdf``.
     """
-    if stage_file is None:
-        raise ExportError("usd writes into your own stage; expected --stage FILE (stage=)")
+    if into is None:
+        raise ExportError("usd writes into your own stage; expected --into FILE (into=)")
     try:
         from pxr import Sdf, Tf, Usd
     except ImportError:
         raise ExportError("usd needs the extra usd: pip install 'lieid-casadi[usd]'") from None
     check_possible(fit)
     check_gravity(fit)
-    path = Path(stage_file)
+    path = Path(into)
     try:
         layer = Sdf.Layer.FindOrOpen(str(path))
         stage = None if layer is None else Usd.Stage.Open(layer)

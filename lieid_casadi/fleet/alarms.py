@@ -23,36 +23,25 @@ from lieid_casadi.fleet.judging import (
 )
 from lieid_casadi.fleet.night_result import Finding
 
-INSPECT = "inspect the joint, and identify the arm again if it is in order"
+#: What to do about an effect, or about a kind of effects by a part of their name.
 ACTIONS = {
-    "coulomb": "check lubrication, seals and brake of the joint; a steady rise indicates wear",
-    "viscous": "check lubricant and temperature of the joint",
-    "viscous_polynomial": "check lubricant and temperature of the joint",
-    "viscous_asymmetric": "check lubricant and seals of the joint",
-    "stribeck": "check lubrication of the joint; slow motion shows the change most",
-    "load_friction": "check bearings and gear of the joint under load",
-    "temperature_friction": "record temperatures, and identify with temperature_friction",
-    "warm_up": "warm the arm up before the nightly motion",
-    "position_friction": "inspect the bearing and gear of the joint over its whole range",
-    "presliding": "check the gear of the joint for tooth contact and preload",
-    "torque_ripple": "inspect gear and bearing of the joint for local damage",
-    "backlash": "inspect the gear of the joint for wear",
-    "joint_elasticity": "check the fixings of gear and motor of the joint",
-    "position_spring": "check hoses, cables and balancers at the joint",
-    "transmission_coupling": "inspect the gear that the two joints share",
-    "armature": "check that motor and gear of the joint are those of the fit",
-    "offset": "check the zero of the torque sensor and hoses or cables at the joint",
-    "torque_gain": "check current sensor, drive settings and torque constant of the joint",
-    "torque_delay": "check the drive's filter and the time stamps of the recording",
-    "time_shift": "check the time stamps of the recording",
-    "torque_lowpass": "check the filter settings of the drives",
-    "bias_drift": "check the zero of the torque sensor over time",
-    "encoder_offset": "check the zero position of the joint and its coupling to the encoder",
-    "base_tilt": "check the bolts of the base and the level of the floor",
     "payload": "check what is mounted on the tool; a known payload is entered with from: its night",
     "external_wrench": "check for contact, hoses or cables at the tool",
+    "base_tilt": "check the bolts of the base and the level of the floor",
+    "encoder_offset": "check the zero position of the joint and its coupling to the encoder",
+    "torque_gain": "check current sensor, drive settings and torque constant of the joint",
+    "offset": "check the zero of the torque sensor and hoses or cables at the joint",
+    "bias_drift": "check the zero of the torque sensor over time",
+    "armature": "check that motor and gear of the joint are those of the fit",
+    "temperature": "record temperatures, and identify with temperature_friction",
+    "coulomb": "check lubrication, seals and brake of the joint; a steady rise indicates wear",
+    "position_": "inspect bearing, gear, hoses and balancers of the joint over its whole range",
+    "viscous": "check lubricant and temperature of the joint",
+    "friction": "check bearings and lubrication of the joint",
+    "delay": "check filters of the drives and the time stamps of the recording",
     "error": "look at the diagnosis of the last night's recording",
     "unexplained": "look at the diagnosis of the last night's recording",
+    "": "inspect the joint, and identify the arm again if it is in order",
 }
 
 
@@ -87,7 +76,7 @@ class Alarm:
     @property
     def action(self) -> str:
         """What to do about it."""
-        return ACTIONS.get(self.quantity, INSPECT)
+        return next(text for part, text in ACTIONS.items() if part in self.quantity)
 
     @property
     def labels(self) -> frozenset[str]:

@@ -156,7 +156,7 @@ def _arm(
     for joint, *lists in rows["joints"]:
         if len(lists[0]) == count:
             columns[:, joint - 1] = np.array(lists, dtype=float)
-    rms, expected, torque, warm = columns[:4]
+    rms, expected, torque, warm = (column.copy() for column in columns[:4])  # views keep all 8
     motions = motions_of([load or "" for _, load in rows["nights"]], np.moveaxis(columns[4:], 2, 0))
     days = np.array([night.toordinal() for night in dates], dtype=float)
     series, units = {}, {}
@@ -173,10 +173,11 @@ def _arm(
     for j in np.flatnonzero(np.isfinite(log_error).all(axis=1)):
         own = NightSeries(days, log_error[j], scales, unknown, motions)
         series[Quantity(ERROR, int(j) + 1)] = own
-    found: list[dict[tuple[str, int | None], Finding]] = [{} for _ in dates]
+    nothing: dict[tuple[str, int | None], Finding] = {}  # of nearly all nights
+    found = [nothing] * count
     for k, *columns_of_finding in rows["findings"]:
         finding = Finding(*columns_of_finding)
-        found[k][finding.effect, finding.joint] = finding
+        found[k] = found[k] | {(finding.effect, finding.joint): finding}
     shares = np.where(np.isfinite(lost), lost, 0.0).max(axis=0, initial=0.0)
     return ArmHistory(*identity, dates, series, units, tuple(found), shares, starts, limits)
 

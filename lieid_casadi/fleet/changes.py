@@ -144,14 +144,11 @@ def _whitening(day_bytes: bytes, motion_bytes: bytes, between: float, slow: floa
 
 def _between_motions(series: Sequence[NightSeries]) -> float:
     """Return the variance between motions relative to that between nights with one motion."""
-    within: list[float] = []
-    across: list[float] = []
-    for each in (whole.latest for whole in series):
-        differences = np.diff(each.values) / np.median(each.scales)
-        same = np.diff(each.motions) == 0
-        within += (differences[same] ** 2).tolist()
-        across += (differences[~same] ** 2).tolist()
-    if len(within) < KNOWN_PAIRS or not across:
+    latest = [whole.latest for whole in series]
+    differences = np.concatenate([np.diff(s.values) / np.median(s.scales) for s in latest]) ** 2
+    same = np.concatenate([np.diff(s.motions) == 0 for s in latest])
+    within, across = differences[same], differences[~same]
+    if len(within) < KNOWN_PAIRS or not len(across):
         return 0.0  # one motion, or one per night, whose variance is in that between nights
     ratio = float(np.median(across)) / max(float(np.median(within)), 1e-12) - 1.0
     ratio = float(np.clip(ratio, 0.0, MOST_BETWEEN))
@@ -183,16 +180,13 @@ def temperature_prior(series: Sequence[NightSeries]) -> TemperaturePrior | None:
 
 def _slow_part(series: Sequence[NightSeries], expected: float) -> float:
     """Return the relative variance of what varies slowly, from differences over 1 and 6 nights."""
-    near: list[float] = []
-    far: list[float] = []
-    for each in (whole.latest for whole in series):
-        x = each.values / np.median(each.scales)
-        near += (np.diff(x) ** 2).tolist()
-        far += ((x[FAR_NIGHTS:] - x[:-FAR_NIGHTS]) ** 2).tolist()
-    if not near:
+    values = [s.values / np.median(s.scales) for s in (whole.latest for whole in series)]
+    near = np.concatenate([np.diff(x) for x in values]) ** 2
+    far = np.concatenate([x[FAR_NIGHTS:] - x[:-FAR_NIGHTS] for x in values]) ** 2
+    if not len(near):
         return expected
     at_near, at_far = 1.0 - np.exp(-1.0 / SLOW_DAYS), 1.0 - np.exp(-FAR_NIGHTS / SLOW_DAYS)
-    ratio = float(np.median(far)) / max(float(np.median(near)), 1e-12) if far else 1.0
+    ratio = float(np.median(far)) / max(float(np.median(near)), 1e-12) if len(far) else 1.0
     rest = at_far - at_near * ratio
     slow = MOST_SLOW if rest <= 0.0 else float(np.clip((ratio - 1.0) / rest, 0.0, MOST_SLOW))
     return (len(far) * slow + KNOWN_PAIRS * expected) / (len(far) + KNOWN_PAIRS)

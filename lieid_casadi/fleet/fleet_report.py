@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from datetime import date
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +27,7 @@ BASELINE = 3  # nights whose median is the reference of relative changes
 MOST_EFFECTS = 3  # panels of coefficients
 
 
-def plot_trends(arm: ArmHistory, alarms: Sequence[Alarm], since: date | None = None) -> Figure:
+def plot_trends(arm: ArmHistory, alarms: Sequence[Alarm]) -> Figure:
     """Draw each effect's first coefficient, the errors, the temperature and the alarms' nights."""
     names: dict[str, str] = {}  # of each effect, the name of its first coefficient
     for quantity in arm.series:
@@ -42,12 +41,11 @@ def plot_trends(arm: ArmHistory, alarms: Sequence[Alarm], since: date | None = N
         panels.append(("mean temperature, °C", warm))
     figure = new_figure(9.5, 1.7 * len(panels) + 0.4)
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-    first = 0 if since is None else min(sum(d < since for d in arm.dates), len(arm.dates) - 1)
-    nights = np.array(arm.dates[first:], dtype="datetime64[D]")
+    nights = np.array(arm.dates, dtype="datetime64[D]")
     for ax, (text, lines) in zip(axes, panels, strict=True):
         for joint, values in sorted(lines.items()):
             ax.plot(
-                nights, values[first:], color=f"C{(joint - 1) % 10}", label=f"joint {joint}",
+                nights, values, color=f"C{(joint - 1) % 10}", label=f"joint {joint}",
                 linewidth=1.2, marker=".", markersize=3.0,
             )  # fmt: skip
         ax.grid(True, linewidth=0.6, color=GRID)
@@ -56,8 +54,7 @@ def plot_trends(arm: ArmHistory, alarms: Sequence[Alarm], since: date | None = N
         ax.spines[["top", "right"]].set_visible(False)
         title(ax, text)
         for alarm in alarms:
-            if alarm.since >= arm.dates[first]:
-                ax.axvline(np.datetime64(alarm.since), color=ERROR_COLOUR, linewidth=1.0, alpha=0.7)
+            ax.axvline(np.datetime64(alarm.since), color=ERROR_COLOUR, linewidth=1.0, alpha=0.7)
         if lines is errors:
             ax.set_yscale("log")
             ax.legend(fontsize=SMALL, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
@@ -80,8 +77,8 @@ def _coefficient(arm: ArmHistory, name: str) -> tuple[str, dict[int, Array]]:
 ARM_SECTIONS_FROM = 5  # number of the first arm's section in the page
 
 
-def fleet_report(history: History, *, since: date | None = None) -> str:
-    """Return the report as one self-contained HTML page, of nights since a first one."""
+def fleet_report(history: History) -> str:
+    """Return the report as one self-contained HTML page."""
     arms, alarms = list(read_arms(history)), read_alarms(history)
     links = {arm.serial: f"section-{k}" for k, arm in enumerate(arms, start=ARM_SECTIONS_FROM)}
     active = [alarm for alarm in alarms if alarm.closed is None]
@@ -95,14 +92,10 @@ def fleet_report(history: History, *, since: date | None = None) -> str:
         table_section(
             "All arms", arm_table(arms, active), outlier_table(outliers(history)), links=links
         ),
-        table_section(
-            "Recordings that cannot be used", recording_table(history, since), links=links
-        ),
+        table_section("Recordings that cannot be used", recording_table(history), links=links),
         table_section("Acknowledged alarms", closed_table(alarms), links=links, folded=True),
     ]
-    pages = [
-        _arm_section(arm, [a for a in alarms if a.serial == arm.serial], since) for arm in arms
-    ]
+    pages = [_arm_section(arm, [a for a in alarms if a.serial == arm.serial]) for arm in arms]
     return render("Fleet", [*sections, *pages])
 
 
@@ -152,12 +145,11 @@ def arm_table(arms: Sequence[ArmHistory], alarms: Sequence[Alarm]) -> Table:
     )
 
 
-def recording_table(history: History, since: date | None) -> Table:
+def recording_table(history: History) -> Table:
     """Return recordings that were refused or failed."""
     refused = history.rows(
         "SELECT serial, date, recording, status, reason FROM runs WHERE status <> 'done' "
-        "AND date >= ? ORDER BY date DESC, serial",
-        [since or date.min],
+        "ORDER BY date DESC, serial"
     )
     return make_table(
         "Refused or failed", ("serial", "night", "recording", "status", "reason"), refused,
@@ -173,11 +165,11 @@ def closed_table(alarms: Sequence[Alarm]) -> Table:
     return make_table("Acknowledged", headings, rows)
 
 
-def _arm_section(arm: ArmHistory, alarms: Sequence[Alarm], since: date | None) -> Section:
+def _arm_section(arm: ArmHistory, alarms: Sequence[Alarm]) -> Section:
     active = [alarm for alarm in alarms if alarm.closed is None]
     note = " ".join(f"{a.sentence}. Action: {a.action}." for a in active)
     picture = {
-        "uri": data_uri(plot_trends(arm, alarms, since), dpi=80.0, colors=64),
+        "uri": data_uri(plot_trends(arm, alarms), dpi=80.0, colors=64),
         "alt": f"trends of {arm.serial}",
         "note": note or "No open alarm.",
     }

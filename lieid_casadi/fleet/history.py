@@ -27,8 +27,8 @@ from lieid_casadi.messages import reason_of
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-SCHEMA = 7
-MEMORY = "512MB"  # of DuckDB, which otherwise keeps most of a large history in memory
+SCHEMA = 8
+MEMORY = "256MB"  # of DuckDB, which otherwise keeps most of a large history in memory
 TABLES = {
     "runs": "run_id VARCHAR PRIMARY KEY, serial VARCHAR, recording VARCHAR, "
     "recording_sha256 VARCHAR, fit_sha256 VARCHAR, version VARCHAR, started TIMESTAMPTZ, "
@@ -56,7 +56,7 @@ TABLES = {
     "judged": "date DATE, written TIMESTAMPTZ",
     "calls": "finished TIMESTAMPTZ, seconds DOUBLE, version VARCHAR, counts VARCHAR, "
     "alarms INTEGER",
-    "history": "schema INTEGER, kept_from DATE",
+    "history": "schema INTEGER",
 }
 COMMENTS = {
     "runs": "one row per arm-night",
@@ -109,9 +109,7 @@ WITH known AS (
         WHEN bool_or(status = 'failed') THEN 'failed' ELSE 'refused' END AS status
     FROM runs WHERE list_contains($serials, serial) GROUP BY serial, date
 ), spans AS (
-    SELECT serial, greatest(
-        least(any_value(a.since), min(k.date)), (SELECT max(kept_from) FROM history)
-    ) AS first
+    SELECT serial, least(any_value(a.since), min(k.date)) AS first
     FROM arms a LEFT JOIN known k USING (serial)
     WHERE list_contains($serials, serial) GROUP BY serial
 ), expected AS (
@@ -285,31 +283,6 @@ class History(AbstractContextManager["History"]):
             own,
         ).fetchall()
 
-    @property
-    def kept_from(self) -> date | None:
-        """First night that retention has kept; None if nothing was removed."""
-        ((kept,),) = self.rows("SELECT kept_from FROM history")
-        return kept  # type: ignore[no-any-return]
-
-    def remove_before(self, first: date) -> int:
-        """Remove runs of nights before a date, and their rows; return the number of runs."""
-        with self.transaction():
-            ((count,),) = self.rows("SELECT count(*) FROM runs WHERE date < ?", [first])
-            for table in (*ROWS, "repeats", "runs"):
-                self.connection.execute(
-                    f"DELETE FROM {table} WHERE run_id IN (SELECT run_id FROM runs WHERE date < ?)",
-                    [first],
-                )
-            self.connection.execute("DELETE FROM nights WHERE date < ?", [first])
-            self.connection.execute("UPDATE history SET kept_from = ?", [first])
-        return int(count)
-
-    def export_parquet(self, folder: Path) -> None:
-        """Write every table as a Parquet file into a folder that exists."""
-        for table in TABLES:
-            path = str(folder / f"{table}.parquet").replace("'", "''")
-            self.connection.execute(f"COPY {table} TO '{path}' (FORMAT parquet)")
-
 
 def snapshot_of(path: str | Path) -> Path:
     """Return the path of the copy that readers of a history open."""
@@ -393,7 +366,7 @@ def _prepare(connection: DuckDBPyConnection, path: str) -> None:
     if tables:
         connection.execute("UPDATE history SET schema = ?", [SCHEMA])
     else:
-        connection.execute("INSERT INTO history VALUES (?, NULL)", [SCHEMA])
+        connection.execute("INSERT INTO history VALUES (?)", [SCHEMA])
     for name, query in VIEWS.items():
         connection.execute(f"CREATE OR REPLACE VIEW {name} AS {query}")
     for name, text in COMMENTS.items():

@@ -36,6 +36,7 @@ DISCOVERY_RATE = 0.05  # false discoveries among the arms with a new change, at 
 LEAST_SIZE = 3.0  # of a change, in units of the night-to-night scatter
 SEEN_WITHOUT_NIGHT = 0.01  # p-value at which nights show a change without any one of them
 RARE_FINDING = 0.002  # least rate of a finding, per night
+POOLED = 400  # arms of a kind from which the scatter of the kind is estimated
 FEWEST_ARMS = 6  # of one kind that are compared
 MOST_OUTLIERS = 0.25  # part of the arms of a kind
 FALSE_OUTLIERS = 1e-3  # of the arms of one kind together, if their coefficients are normal
@@ -111,12 +112,11 @@ def judge_night(
     alarmed = alarmed or {}
     known = [arm for arm in (each.until(last) for each in arms) if arm.dates]
     tonight = [arm for arm in known if arm.dates[-1] == last]
-    tests = _adjusted_tests(tonight, known, alarmed)
+    tests, smallest = _adjusted_tests(tonight, known, alarmed)
     quiet = [k for k, arm in enumerate(tonight) if arm.serial not in alarmed]
     chosen = set(range(len(tonight)))
     if quiet:
-        smallest = [min((p for _, p in tests[k]), default=1.0) for k in quiet]
-        rates = false_discovery_control(smallest)
+        rates = false_discovery_control([smallest[k] for k in quiet])
         chosen -= {k for k, rate in zip(quiet, rates, strict=True) if rate > DISCOVERY_RATE}
     return [_judged(arm, tests[k] if k in chosen else []) for k, arm in enumerate(tonight)]
 
@@ -125,19 +125,23 @@ def _adjusted_tests(
     tonight: Sequence[ArmHistory],
     known: Sequence[ArmHistory],
     alarmed: Mapping[str, Collection[int | None]],
-) -> list[list[Test]]:
-    """Return, for each arm, what may have changed, with p-values adjusted for their number."""
+) -> tuple[list[list[Test]], list[float]]:
+    """Return, for each arm, significant changes, and the smallest p-value of all.
+
+    The p-values are adjusted for the number of quantities of the arm.
+    """
     scatter, warmth = _priors(known)
     # on an arm that has changed an effect is found every night; each arm therefore counts once
     counts = Counter(x for arm in known for x in {e for night in arm.found for e, _ in night})
     nights = sum(len(arm.dates) for arm in known)
-    adjusted = []
+    significant, smallest = [], []
     for arm in tonight:
         tests: list[Test] = []
         for quantity, series, first in _judged_series(arm):
+            prior = scatter.get((arm.robot, quantity.name, series.has_temperature))
             change = strongest_change(
                 series,
-                scatter[arm.robot, quantity.name, series.has_temperature],
+                prior or scatter_prior([series]),  # no arm of the pool is like it
                 warmth.get((arm.robot, quantity)),
                 rises_only=quantity.name == ERROR,
             )
@@ -154,12 +158,13 @@ def _adjusted_tests(
                 (item, limit * own if item.joint in known_joints else float(p))
                 for (item, own), p in zip(tests, p_values, strict=True)
             ]
-        adjusted.append(tests)
-    return adjusted
+        smallest.append(min((p for _, p in tests), default=1.0))
+        significant.append([test for test in tests if test[1] <= FALSE_ALARMS])
+    return significant, smallest
 
 
 def _judged(arm: ArmHistory, tests: Sequence[Test]) -> JudgedArm:
-    found = [test for test in tests if test[1] <= FALSE_ALARMS and _is_relevant(arm, test[0])]
+    found = [test for test in tests if _is_relevant(arm, test[0])]
     items = [item for item, _ in sorted(found, key=itemgetter(1))]
     return JudgedArm(
         arm,
@@ -171,7 +176,8 @@ def _judged(arm: ArmHistory, tests: Sequence[Test]) -> JudgedArm:
 def _judged_series(arm: ArmHistory) -> list[tuple[Quantity, NightSeries, int]]:
     """Return the series of an arm since their baselines, and the position of the first night."""
     found = [(q, series, arm.baseline_of(q.joint)) for q, series in arm.series.items()]
-    return [(q, s.at(slice(k, None)), k) for q, s, k in found if len(s) - k >= FEWEST_NIGHTS]
+    chosen = [(q, s, k) for q, s, k in found if len(s) - k >= FEWEST_NIGHTS]
+    return [(q, s.at(slice(k, None)) if k else s, k) for q, s, k in chosen]
 
 
 def _priors(
@@ -179,11 +185,16 @@ def _priors(
 ) -> tuple[dict[tuple[str, str, bool], ScatterPrior], dict[tuple[str, Quantity], TemperaturePrior]]:
     """Return the priors of scatter and of the slope over temperature.
 
-    Scatter is pooled over the joints of all arms with the same robot, apart for series with and
-    without temperatures; slopes over arms with the same robot. Temperatures that are not recorded
-    are expected to vary like those of the other arms, and to act like on their strongest joint.
+    Scatter is pooled over the joints of arms with the same robot, apart for series with and
+    without temperatures; slopes over arms with the same robot; in both cases over at most `POOLED`
+    arms, evenly spread. Temperatures that are not recorded are expected to vary like those of the
+    other arms, and to act like on their strongest joint.
     """
-    judged = [(arm.robot, _judged_series(arm)) for arm in arms]
+    kinds = defaultdict[str, list[ArmHistory]](list)
+    for arm in arms:
+        kinds[arm.robot].append(arm)
+    pooled = [arm for own in kinds.values() for arm in own[:: -(-len(own) // POOLED)]]
+    judged = [(arm.robot, _judged_series(arm)) for arm in pooled]
     by_joint: dict[tuple[str, Quantity], list[NightSeries]] = defaultdict(list)
     for robot, own in judged:
         for quantity, series, _ in own:

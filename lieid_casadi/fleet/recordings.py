@@ -16,7 +16,6 @@ from lieid_casadi.messages import reason_of
 
 T = TypeVar("T")
 FOLDER_FILES = ("metadata.yaml", "meta/info.json")  # of recordings that are folders
-MODIFIED_KEYS = ("LastModified", "last_modified", "mtime", "updated", "modified", "created")
 VERSION_KEYS = ("ETag", "etag", "md5Hash", "VersionId")
 
 
@@ -45,7 +44,10 @@ def list_recordings(pattern: str) -> list[RecordingFile]:
         if is_folder or info.get("type") != "directory":
             location = name if local else _url(pattern, system, name)
             version = next((str(info[key]) for key in VERSION_KEYS if info.get(key)), "")
-            modified = _modified(info)
+            try:
+                modified = system.modified(name)
+            except NotImplementedError:
+                modified = None
             stamp = f"{info.get('size')}:{version or modified}"
             found.append(RecordingFile(location, stamp, modified))
     if not found:
@@ -76,7 +78,7 @@ def night_of(file: RecordingFile, pattern: Pattern[str] | None) -> date:
                 f"{file.location}: the store states no time of change; expected a date in the "
                 "path and the key 'night' in the fleet file"
             )
-        return file.modified.date()
+        return file.modified.astimezone(UTC).date()
     match = pattern.search(file.location)
     if match is None:
         raise FleetError(f"{file.location}: 'night' ({pattern.pattern}) does not match this path")
@@ -126,16 +128,3 @@ def _url(pattern: str, system: Any, name: str) -> str:
     if chained:
         return f"{inner.partition('://')[0]}://{name}::{outer}"
     return str(system.unstrip_protocol(name))
-
-
-def _modified(info: Mapping[str, Any]) -> datetime | None:
-    for key in MODIFIED_KEYS:
-        value = info.get(key)
-        if isinstance(value, datetime):
-            return value.astimezone(UTC)
-        if isinstance(value, int | float):
-            return datetime.fromtimestamp(value, UTC)
-        if isinstance(value, str):
-            with contextlib.suppress(ValueError):
-                return datetime.fromisoformat(value).astimezone(UTC)
-    return None

@@ -33,25 +33,6 @@ SNAPSHOT_SECONDS = 300.0  # after which readers get what a call has recorded so 
 
 
 @dataclass(frozen=True)
-class FleetProgress:
-    """State of a call: arm-nights that are finished, of how many, and since when it runs, s."""
-
-    finished: int
-    total: int
-    seconds: float
-
-    @property
-    def rate(self) -> float:
-        """Arm-nights per minute."""
-        return 60.0 * self.finished / self.seconds if self.seconds > 0.0 else 0.0
-
-    @property
-    def left(self) -> float:
-        """Time left, s."""
-        return 60.0 * (self.total - self.finished) / self.rate if self.rate else float("inf")
-
-
-@dataclass(frozen=True)
 class FleetRun:
     """Result of a call."""
 
@@ -71,13 +52,14 @@ def run_fleet(
     since: date | None = None,
     newest: date | None = None,
     rerun: bool = False,
-    progress: Callable[[FleetProgress], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> FleetRun:
     """Diagnose the recordings that the history does not have, and record the results.
 
     Every batch is committed when it is there: a call that ends early is continued by the next.
     ``newest`` is the last night on which every arm is expected to have recorded (default:
-    yesterday, UTC); ``rerun`` also runs what an earlier method of diagnosis has done.
+    yesterday, UTC); ``rerun`` also runs what an earlier method of diagnosis has done. ``progress``
+    is called with the numbers of arm-nights that are finished, and of all.
     """
     settings, start = options or RunOptions(), time.monotonic()
     expected = newest or datetime.now(UTC).date() - timedelta(days=1)
@@ -100,7 +82,7 @@ def run_fleet(
             written = time.monotonic()
         if progress is not None:
             total = len(todo.nights) + len(todo.unusable)
-            progress(FleetProgress(counts.total(), total, time.monotonic() - start))
+            progress(counts.total(), total)
 
     if todo.unusable:
         record(Batch.of(todo.unusable))
@@ -133,7 +115,7 @@ def nights_to_run(
     fleet: Fleet, history: History, *, newest: date, since: date | None = None, rerun: bool = False
 ) -> NightsToRun:
     """Return the arm-nights that the history does not have; arms are entered into it."""
-    first = max((d for d in (since, history.kept_from) if d is not None), default=date.min)
+    first = since or date.min
     nights: list[ArmNight] = []
     unusable: list[tuple[ArmNight, NightResult]] = []
     fits: dict[str, bytes] = {}

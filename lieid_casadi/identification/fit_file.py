@@ -173,8 +173,8 @@ def _robot_text(robot: Robot) -> dict[str, Any]:
         return {
             "kind": "yaml",
             "text": write_yaml(robot),
-            "tip": None,
-            "lock": [],
+            "tip": None if s is None else s.tip,
+            "lock": [] if s is None else list(s.lock),
             "drives": drives,
             "mjcf": files,
         }
@@ -204,15 +204,17 @@ def _described(file: RobotText) -> Robot:
         return Robot.parse_urdf(file.text, tip=file.tip, lock=file.lock, origin=origin)
     if file.kind == "yaml":
         robot = Robot.parse_yaml(file.text, origin=origin)
-        return robot if file.mjcf is None else replace(robot, source=_model(file.mjcf, robot.n))
+        return robot if file.mjcf is None else replace(robot, source=_model(file, robot.n))
     raise FitFileError(f"robot of kind {file.kind[:20]!r}; expected urdf or yaml")
 
 
-def _model(file: ModelFiles, n: int) -> RobotSource:
-    if not file.files or [len(row) for _, row in file.carried] != [10] * n:
+def _model(file: RobotText, n: int) -> RobotSource:
+    own = file.mjcf
+    if own is None or not own.files or [len(row) for _, row in own.carried] != [10] * n:
         raise FitFileError("the MuJoCo model inside does not belong to its robot, fit again")
-    carried = tuple((body, tuple(float(x) for x in row)) for body, row in file.carried)
-    return RobotSource("mjcf", file.files[0][1], files=tuple(file.files), carried=carried)
+    carried = tuple((body, tuple(float(x) for x in row)) for body, row in own.carried)
+    files = tuple(own.files)
+    return RobotSource("mjcf", files[0][1], file.tip, tuple(file.lock), files, carried)
 
 
 def _warning(item: WarningFile) -> LieidWarning:

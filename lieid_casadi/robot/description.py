@@ -81,7 +81,7 @@ class Joint:
 class RobotSource:
     """The text from which a robot was read: a fit embeds it, and exports edit it.
 
-    ``kind`` is ``"urdf"``, ``"mjcf"`` or ``"yaml"``; ``tip`` and ``lock`` are those of a URDF. A
+    ``kind`` is ``"urdf"``, ``"mjcf"`` or ``"yaml"``; ``tip`` and ``lock`` choose the chain. A
     MuJoCo model has the files that it includes beside its own (names relative to its folder, its
     own first), and per joint the name of its body and the link parameters of what moves with it.
     """

@@ -89,7 +89,9 @@ def read_mjcf(
         name=name or "robot",
         joints=tuple(_joint(model, data, b, _rigid_with(model, b, chain)) for b in chain),
         gravity=np.array(model.opt.gravity, dtype=float),
-        source=RobotSource("mjcf", files[0][1], files=tuple(files), carried=tuple(carried)),
+        source=RobotSource(
+            "mjcf", files[0][1], tip, tuple(lock), files=tuple(files), carried=tuple(carried)
+        ),
         warnings=(*missing, *_locked(model, path, chain), *_not_read(model, path, chain)),
     )
 

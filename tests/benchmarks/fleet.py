@@ -60,9 +60,9 @@ def changes(args: argparse.Namespace) -> None:
             read_fleet(path),
             history,
             options=RunOptions(workers=args.workers),
-            progress=lambda p: (
-                say(f"{p.finished}/{p.total}, {p.left:.0f} s left")
-                if p.finished % 100 == 0
+            progress=lambda done, total: (
+                say(f"{done}/{total}, {time.monotonic() - start:.0f} s")
+                if done % 100 == 0
                 else None
             ),
         )
@@ -173,7 +173,7 @@ def throughput(args: argparse.Namespace) -> None:
         for arm in arms_of(args.arms, args.nights, seed=args.seed)
     ]
     fleet = read_fleet(write_simulated_fleet(args.folder, arms, args.nights, args.duration))
-    looped(fleet.arms[:1], args.folder, 1)  # compiled libraries are in the cache after it
+    looped(fleet.arms[:3], args.folder, 1)  # to compile all kinds
     elapsed, processor = time.perf_counter(), time.process_time()
     count = looped(fleet.arms, args.folder, args.nights)
     loop = (time.perf_counter() - elapsed) / count
@@ -215,7 +215,7 @@ def measured_run(fleet, folder: Path, workers: int) -> tuple[float, float, float
         file.unlink()
     own, finished = psutil.Process(), []
 
-    def note(_) -> None:
+    def note(*_: int) -> None:
         children = own.children(recursive=True)
         spent = [sum(child.cpu_times()[:2]) for child in children]
         finished.append((time.perf_counter(), sum(spent), sum(own.cpu_times()[:2])))
@@ -268,7 +268,7 @@ def cost(args: argparse.Namespace) -> None:
         )
         return
     args.folder.mkdir(parents=True, exist_ok=True)
-    for arms, nights in ((20, 30), (20, 90), (20, 365), (20, 1000), (200, 365), (2000, 30)):
+    for arms, nights in args.sizes or ((20, 30), (20, 365), (20, 1000), (200, 365), (2000, 30)):
         path = args.folder / f"cost-{arms}-{nights}.duckdb"
         for file in args.folder.glob(f"{path.stem}*"):
             file.unlink()
@@ -315,6 +315,8 @@ def main() -> int:
     parser.add_argument("what", choices=tuple(SIZES))
     parser.add_argument("--folder", type=Path, help="default: build/fleet/WHAT")
     parser.add_argument("--arms", type=int)
+    parser.add_argument("--sizes", nargs="*", type=lambda x: tuple(map(int, x.split("x"))),
+                        help="of ``cost``, as ARMSxNIGHTS")  # fmt: skip
     parser.add_argument("--nights", type=int)
     parser.add_argument("--duration", type=float, default=20.0, help="s, of a night")
     parser.add_argument("--workers", type=int, default=None)

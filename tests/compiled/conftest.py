@@ -25,8 +25,9 @@ def fresh_process(monkeypatch, tmp_path):
     monkeypatch.setenv("LIEID_CACHE_DIR", str(cache))
     monkeypatch.setattr(kernels, "_libraries", {})
     monkeypatch.setattr(kernels.CompilerFailure, "reason", None)
-    monkeypatch.setattr(disk, "_private_folders", [])
-    disk._private_folder.cache_clear()
+    monkeypatch.setattr(disk.tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    disk._notice.cache_clear()
     return cache
 
 

@@ -14,18 +14,18 @@ from lieid_casadi.exporters.export import export
 from lieid_casadi.exporters.mjcf import mjcf_text
 
 FOLDER = Path(__file__).parents[2] / "examples" / "ros2_control"
-ARMS = {  # distribution of ROS 2 → effects, numbers that are arguments
-    "jazzy": ("coulomb,viscous,offset,armature,presliding:2", []),
-    "rolling": ("coulomb,viscous,offset,armature", ["payload"]),
+ARMS = {  # distribution of ROS 2 → effects, whether the payload is an argument
+    "jazzy": ("coulomb,viscous,offset,armature,presliding:2", False),
+    "rolling": ("coulomb,viscous,offset,armature", True),
 }
 
 
 @pytest.fixture(scope="module", params=ARMS)
 def built(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("ros2_control")
-    effects, runtime = ARMS[request.param]
+    effects, payload = ARMS[request.param]
     fit = made_fit(lieid.robots.two_link(), effects)
-    export(fit, folder / "arm", to="c", runtime=runtime)
+    export(fit, folder / "arm", to="c", payload=payload)
     configure = ["cmake", "-S", str(FOLDER), "-B", "build", f"-DARM_DIR={folder / 'arm'}"]
     configure.append(f"-DSTUB_ROLLING={'ON' if request.param == 'rolling' else 'OFF'}")
     assert "no ROS 2: building against the stub" in run(configure, folder)

@@ -141,17 +141,3 @@ def test_elasticity_is_refused(tmp_path, capsys):
     folder = str(tmp_path / "out")
     assert main(["export", str(tmp_path / "fit.json"), "--to", "c", "-o", folder]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_user_effects_over_a_segment_are_refused(tmp_path):
-    from lieid_casadi.effects import ArmEffect, Coefficient
-
-    class Late(ArmEffect):
-        name, formula = "late", "a·τ(t − 1)"
-        coefficients = (Coefficient("a", "1"),)
-
-        def segment_columns(self, arm, joint, values):
-            return np.zeros((*arm.load.shape, 1))
-
-    with pytest.raises(ExportError, match="late:1"):
-        export(made_fit(lieid.robots.two_link(), [Late()]), tmp_path / "arm", to="c")

@@ -58,7 +58,7 @@ def attributes(path):
 
 def test_masses_are_those_of_the_fit_and_everything_else_stays(fit, stage_file, tmp_path):
     before, text = attributes(stage_file), stage_file.read_text()
-    made = export(fit, tmp_path / "out", "usd", stage=stage_file)
+    made = export(fit, tmp_path / "out", "usd", into=stage_file)
     after = attributes(made.files[0])
     assert stage_file.read_text() == text
     assert made.files[0].name == "bench.usda"
@@ -87,16 +87,16 @@ def test_masses_are_those_of_the_fit_and_everything_else_stays(fit, stage_file, 
 
 
 def test_what_cannot_be_written_is_refused(fit, stage_file, tmp_path, capsys):
-    with pytest.raises(ExportError, match="expected --stage FILE"):
+    with pytest.raises(ExportError, match="expected --into FILE"):
         export(fit, tmp_path / "out", "usd")
     with pytest.raises(ExportError, match="not a USD stage"):
-        export(fit, tmp_path / "out", "usd", stage=__file__)
+        export(fit, tmp_path / "out", "usd", into=__file__)
     other = tmp_path / "other.usda"
     other.write_text(stage_file.read_text().replace('"elbow"', '"knee"'))
     with pytest.raises(ExportError, match=r"no joint 'elbow'; its joints: knee, shoulder"):
-        export(fit, tmp_path / "out", "usd", stage=other)
+        export(fit, tmp_path / "out", "usd", into=other)
     assert not (tmp_path / "out").exists()
     fit.save(tmp_path / "fit.json")
-    words = ["export", str(tmp_path / "fit.json"), "--to", "usd", "--stage", str(stage_file)]
+    words = ["export", str(tmp_path / "fit.json"), "--to", "usd", "--into", str(stage_file)]
     assert main([*words, "-o", str(tmp_path / "out")]) == 0
     assert "bench.usda written to" in capsys.readouterr().out

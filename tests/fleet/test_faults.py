@@ -145,7 +145,3 @@ def test_exit_code_5_if_an_alarm_was_raised_in_this_call(
         shown = capsys.readouterr().out
         assert text in shown
         assert "Open alarms: 1." in shown
-    assert run(fleet_folder, scheduler, "--keep", "1") == 0
-    assert "8 runs of nights more than 1 days ago were removed" in capsys.readouterr().out
-    assert run(fleet_folder, scheduler) == 0  # nights before those that are kept are not run again
-    assert "Arm-nights of this call: none" in capsys.readouterr().out

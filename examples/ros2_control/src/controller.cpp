@@ -213,7 +213,7 @@ void Controller::receive_payload(const Payload & message)
     RCLCPP_ERROR(
       get_node()->get_logger(),
       "payload: refused, because it is no rigid body, or the arm was exported without "
-      "--runtime payload");
+      "--payload");
     return;
   }
   const std::lock_guard<std::mutex> lock(mutex_);

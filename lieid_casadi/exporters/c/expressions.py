@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -43,11 +42,7 @@ class SampleSymbols:
 
 
 class ExportExpressions(TorqueExpressions):
-    """The torque of a model and its parts, and what controllers need besides.
-
-    ``all_links`` (10 n,), if given, are the link parameters in any gravity, where ``values`` has a
-    reduced set with the same torque.
-    """
+    """The torque of a model and its parts, and what controllers need besides."""
 
     def __init__(self, fit: Fit, values: Values, *, payload: bool = False) -> None:
         n = fit.model.n
@@ -130,15 +125,8 @@ class ExportExpressions(TorqueExpressions):
         return self.model.advance(past, self._signals, self.values.shapes, self.states)
 
 
-def export_expressions(fit: Fit, runtime: Collection[str]) -> ExportExpressions:
-    """Return expressions of the identified numbers, those of ``runtime`` as symbols.
-
-    ``runtime``: of ``parameters`` (link parameters, coefficients and shape parameters) and
-    ``payload``.
-    """
-    payload = "payload" in runtime
-    if "parameters" in runtime:
-        return ExportExpressions(fit, Values.symbols(fit.model), payload=payload)
+def export_expressions(fit: Fit, *, payload: bool = False) -> ExportExpressions:
+    """Return expressions of the identified numbers; ``payload``: with a body as input."""
     # in another direction of gravity than the robot's, more link parameters have an effect
     whole = any(isinstance(p.effect, ArmEffect) for p in fit.model.placements)
     links = fit.link_parameters if whole else fewer_parameters(fit)

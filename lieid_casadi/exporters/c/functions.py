@@ -1,8 +1,10 @@
-"""The functions that exported C may have, and their bodies."""
+"""The functions that exported C may have, and their bodies as statements of plain C99."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -14,16 +16,131 @@ from lieid_casadi.exporters.c.expressions import (
     SampleSymbols,
     export_expressions,
 )
-from lieid_casadi.exporters.c.statements import (
-    FunctionBody,
-    FunctionInput,
-    body,
-    each,
-    number,
-)
+from lieid_casadi.expressions.c_writer import ARITHMETIC, Dialect, UnsupportedOperation, statements
 from lieid_casadi.expressions.forward_dynamics import obstacle
+from lieid_casadi.expressions.model_functions import sparse_function
 from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.identification.fit import Fit
+
+_CONDITIONS = {
+    "LT": "{0} < {1} ? 1.0 : 0.0", "LE": "{0} <= {1} ? 1.0 : 0.0",
+    "EQ": "{0} == {1} ? 1.0 : 0.0", "NE": "{0} != {1} ? 1.0 : 0.0",
+    "NOT": "{0} == 0.0 ? 1.0 : 0.0",
+    "AND": "{0} != 0.0 && {1} != 0.0 ? 1.0 : 0.0", "OR": "{0} != 0.0 || {1} != 0.0 ? 1.0 : 0.0",
+    "IF_ELSE_ZERO": "{0} != 0.0 ? {1} : 0.0",
+}  # fmt: skip
+_LIBRARY = ("SIN", "COS", "EXP", "TANH", "SQRT", "FABS")  # all that is used of libm
+_RUNTIME = (  # codegen/export/lieid_runtime.h
+    "SIGN", "EXPM1", "LOG", "LOG1P", "TAN", "SINH", "COSH", "ASIN", "ACOS", "ATAN", "FLOOR",
+    "CEIL",
+)  # fmt: skip
+_RUNTIME_OF_TWO = ("FMIN", "FMAX", "COPYSIGN", "ATAN2", "HYPOT")
+
+
+TOLERANCE = 1e-12  # error that the self-test accepts, relative to the size of each result
+
+
+def number(value: float) -> str:
+    """Return a finite number as C reads it back, bit by bit."""
+    if not math.isfinite(value):
+        raise ExportError(f"the fit has a number that is {value}; expected finite ones")
+    text = repr(float(value))
+    return f"({text})" if text.startswith("-") else text
+
+
+_FUNCTIONS = {name: f"{name.lower()}({{0}})" for name in _LIBRARY}
+_FUNCTIONS |= {name: f"lieid_{name.lower()}({{0}})" for name in _RUNTIME}
+_FUNCTIONS |= {name: f"lieid_{name.lower()}({{0}}, {{1}})" for name in _RUNTIME_OF_TWO}
+DIALECT = Dialect("const double", ARITHMETIC | _CONDITIONS | _FUNCTIONS, number)
+INDENT = "    "
+ZEROS_PER_LINE = 5
+
+
+@dataclass(frozen=True)
+class FunctionInput:
+    """A vector of symbols and the C expression of each of its elements."""
+
+    symbol: ca.SX
+    texts: tuple[str, ...]
+
+
+def each(symbol: ca.SX, pattern: str) -> FunctionInput:
+    """Return an input whose element j is a pattern with ``{j}`` filled in."""
+    return FunctionInput(symbol, tuple(pattern.format(j=j) for j in range(symbol.size1())))
+
+
+@dataclass(frozen=True)
+class FunctionBody:
+    """The body of a C function that writes a matrix, row after row.
+
+    All inputs are read before the first result is written: they may be the same memory.
+    """
+
+    lines: tuple[str, ...]
+    used: frozenset[str]
+    operations: int
+
+    @property
+    def text(self) -> str:
+        """The lines, indented."""
+        return "\n".join(INDENT + line for line in self.lines)
+
+
+def body(
+    matrix: ca.SX,
+    inputs: Mapping[str, FunctionInput],
+    *,
+    to: str,
+    arguments: Sequence[str] = (),
+) -> FunctionBody:
+    """Return the C statements that evaluate a matrix and write it, zeros too, to an array.
+
+    ``inputs`` are the symbols by local name; ``arguments`` the names of the C function's
+    arguments, of which those that the inputs do not need are marked as unused. An `ExportError`
+    names an operation without a C form.
+    """
+    names = list(inputs)
+    symbols = [given.symbol for given in inputs.values()]
+    sparse = sparse_function("exported", symbols, [f"{name}_" for name in names], matrix)
+    columns = matrix.shape[1]
+    places = [int(i) * columns + int(j) for i, j in zip(sparse.rows, sparse.columns, strict=True)]
+
+    def read(argument: int, j: int) -> tuple[str, str]:
+        name = names[argument]
+        return f"{name}_{j}", inputs[name].texts[j]
+
+    def write(nonzero: int, value: str) -> str:
+        return f"{to}[{places[nonzero]}] = {value};"
+
+    try:
+        written = statements(sparse.function, DIALECT, read=read, write=write)
+    except UnsupportedOperation as error:
+        raise ExportError(
+            f"an effect uses CasADi's operation {error.operation}, which exported C does not have; "
+            "expected arithmetic, comparisons, powers, exponential, trigonometric and hyperbolic "
+            "functions"
+        ) from None
+    by_joint = sorted(written.inputs, key=lambda x: (x.index, x.argument))
+    loads = [f"{DIALECT.declaration} {x.name} = {x.text};" for x in by_joint]
+    read_names = set(re.findall(r"\w+", " ".join(x.text for x in by_joint)))
+    unused = [f"(void){name};" for name in arguments if name not in read_names]
+    zeros = _zeros(to, matrix.shape[0] * columns, places)
+    used = frozenset(names[x.argument] for x in written.inputs)
+    return FunctionBody((*unused, *loads, *zeros, *written.lines), used, written.operations)
+
+
+def _zeros(to: str, size: int, places: Sequence[int]) -> list[str]:
+    """Return statements that write the structural zeros.
+
+    Not as loops: compilers make `memset` or ``rep stos`` of them, which start so slowly that they
+    take twice the time of computing a regressor.
+    """
+    zeros = sorted(set(range(size)) - set(places))
+    return [
+        "".join(f"{to}[{k}] = " for k in zeros[first : first + ZEROS_PER_LINE]) + "0.0;"
+        for first in range(0, len(zeros), ZEROS_PER_LINE)
+    ]
+
 
 RIGID_ARGUMENTS = {  # function: its arguments before the result
     "rigid_torque": ("q", "dq", "ddq"),
@@ -46,7 +163,7 @@ SAMPLE_ARGUMENTS = {  # function: its argument between the sample and the state
 }
 NAMES = (*RIGID_ARGUMENTS, *SAMPLE_ARGUMENTS)
 WITHOUT_NUMBERS = ("forward_kinematics", "jacobian", "regressor", "slotine_li_regressor")
-RUNTIME = ("payload", "parameters")  # numbers that may be inputs
+PAYLOAD_TEXT = "numbers->payload[{j}]"
 _RESULTS = {  # name of the result, where it is no matrix
     "rigid_torque": "torque",
     "gravity": "torque",
@@ -56,7 +173,6 @@ _RESULTS = {  # name of the result, where it is no matrix
     "torque": "torque",
     "forward_dynamics": "acceleration",
 }
-NUMBERS = {"parameters": "link_parameters", "effects": "effect_coefficients"}  # input: name in C
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,17 +220,14 @@ def _no_forward_dynamics(fit: Fit) -> dict[str, str]:
 
 
 def exported_functions(
-    fit: Fit, names: Sequence[str], runtime: Sequence[str] = ()
+    fit: Fit, names: Sequence[str], *, payload: bool = False
 ) -> ExportedFunctions:
     """Return the C of functions (of `select`), and of those that they call.
 
-    ``runtime``: numbers that are arguments, of `RUNTIME`.
+    With ``payload`` a body at the tool is an argument.
     """
-    made = export_expressions(fit, runtime)
-    numbers = {
-        NUMBERS.get(name, name): each(symbol, f"numbers->{NUMBERS.get(name, name)}[{{j}}]")
-        for name, symbol in made.further_inputs(static=True).items()
-    }
+    made = export_expressions(fit, payload=payload)
+    numbers = {} if made.payload is None else {"payload": each(made.payload, PAYLOAD_TEXT)}
     references = {"dq_r": each(made.dq_r, "dq_r[{j}]"), "ddq_r": each(made.ddq_r, "ddq_r[{j}]")}
     rigid = _motion_inputs(made.motion) | numbers | references
     sample = _sample_inputs(fit, made) | numbers
@@ -125,7 +238,7 @@ def exported_functions(
     }
     advance = None
     if fit.model.states and any(name in SAMPLE_ARGUMENTS for name in names):
-        advance = _advance(fit, made, runtime, numbers)
+        advance = _advance(fit, made, numbers)
     remembers = advance is not None and "before_load" in advance.used
     reads = remembers or (advance is not None and "load" in advance.used)
     bodies = {}
@@ -136,23 +249,21 @@ def exported_functions(
                 getattr(made, name),
                 inputs,
                 to=_RESULTS.get(name, "matrix"),
-                arguments=_arguments(name, runtime),
+                arguments=_arguments(name, payload),
             )
     return ExportedFunctions(bodies, advance, remembers, reads)
 
 
-def _arguments(name: str, runtime: Sequence[str]) -> list[str]:
+def _arguments(name: str, payload: bool) -> list[str]:
     """Return the names of a C function's arguments."""
-    numbers = ["numbers"] if runtime and name not in WITHOUT_NUMBERS else []
+    numbers = ["numbers"] if payload and name not in WITHOUT_NUMBERS else []
     if name in RIGID_ARGUMENTS:
         return [*RIGID_ARGUMENTS[name], *numbers]
     given = [SAMPLE_ARGUMENTS[name]] if SAMPLE_ARGUMENTS[name] else []
     return ["sample", *given, "state", "smooth_velocity", *numbers]
 
 
-def _advance(
-    fit: Fit, made: ExportExpressions, runtime: Sequence[str], numbers: dict[str, FunctionInput]
-) -> FunctionBody:
+def _advance(fit: Fit, made: ExportExpressions, numbers: dict[str, FunctionInput]) -> FunctionBody:
     """Return the body that computes the states at a sample from those at the sample before."""
     before = SampleSymbols.before(fit.model.n)
     past = _signal_inputs(fit, before, of="state->before.")
@@ -160,13 +271,8 @@ def _advance(
     inputs = _sample_inputs(fit, made) | numbers
     inputs["load"] = each(made.load, "load[{j}]")
     inputs |= {f"before_{name}": given for name, given in past.items()}
-    arguments = ["state", "sample", "load", "smooth_velocity"]
-    return body(
-        ca.densify(made.advance(before)),
-        inputs,
-        to="after",
-        arguments=[*arguments, *(["numbers"] if runtime else [])],
-    )
+    arguments = ["state", "sample", "load", "smooth_velocity", *(["numbers"] if numbers else [])]
+    return body(ca.densify(made.advance(before)), inputs, to="after", arguments=arguments)
 
 
 def _motion_inputs(motion: Motion, *, of: str = "") -> dict[str, FunctionInput]:

@@ -10,8 +10,8 @@
 
 #include "arm.h"
 
-// The argument of functions whose numbers may change at run time (lieid export --runtime …).
-#if defined(ARM_RUNTIME_PAYLOAD) || defined(ARM_RUNTIME_PARAMETERS)
+// The argument of functions whose numbers may change at run time (lieid export --payload).
+#if defined(ARM_RUNTIME_PAYLOAD)
 #define IDENTIFIED_ARM_NUMBERS &numbers_,
 #define IDENTIFIED_ARM_LAST_NUMBERS , &numbers_
 #else
@@ -151,7 +151,7 @@ public:
   explicit ControlLaw(const Settings & settings = Settings()) : settings_(settings)
   {
     width_.fill(settings.velocity_width);
-#if defined(ARM_RUNTIME_PAYLOAD) || defined(ARM_RUNTIME_PARAMETERS)
+#if defined(ARM_RUNTIME_PAYLOAD)
     arm_nominal(&numbers_);
 #endif
   }
@@ -173,7 +173,7 @@ public:
   }
 
   // A body at the tool from now on, in place of the one before; false if it is no rigid body, or
-  // the arm was exported without --runtime payload.
+  // the arm was exported without --payload.
   bool set_payload(const Body & body)
   {
 #if defined(ARM_RUNTIME_PAYLOAD)
@@ -366,7 +366,7 @@ private:
   bool has_reference_ = false;
   Mode mode_ = Mode::holding;
   Fault fault_ = Fault::none;
-#if defined(ARM_RUNTIME_PAYLOAD) || defined(ARM_RUNTIME_PARAMETERS)
+#if defined(ARM_RUNTIME_PAYLOAD)
   arm_numbers numbers_{};
 #endif
 #if defined(ARM_RUNTIME_PAYLOAD)
