@@ -249,10 +249,6 @@ class NegativeMassWarning(LieidWarning):
     """A payload whose mass came out negative."""
 
 
-class ImpossiblePayloadWarning(LieidWarning):
-    """Identified payload parameters that are physically impossible."""
-
-
 class PayloadMisfitWarning(LieidWarning):
     """A run whose error a payload does not explain."""
 

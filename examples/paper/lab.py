@@ -21,6 +21,7 @@ from arm import (
     true_friction,
     with_payload,
 )
+from filters import paper_filtered
 from friction_runs import SWEEP_RATE, friction_runs
 from stages import combine_stages
 
@@ -36,6 +37,7 @@ from lieid_casadi.friction_curves import (
     friction_curve,
 )
 from lieid_casadi.identification import Fit
+from lieid_casadi.identification.identify import identify_segments
 from lieid_casadi.plant.ideal_tracking import TrueMotion
 from lieid_casadi.recording import Processing, Recording
 
@@ -45,7 +47,6 @@ EQ_16 = "coulomb,viscous,offset,viscous_polynomial"
 REF_6 = EQ_10  # with physically consistent links
 EQ_18 = "viscous,viscous_polynomial,stribeck/two_width,load_friction/paper"
 CUTOFF = 10.0  # Hz; the paper states none
-PAPERS_FILTERS = Processing(cutoff=CUTOFF, average_periods=True, smoother="rloess")
 LINEAR = Processing(cutoff=CUTOFF)
 _F = true_friction().rows()
 TRUE = {  # by names of the library
@@ -147,11 +148,10 @@ class Lab:
     def no_load_fits(self) -> dict[str, Fit]:
         """The three models of Tables V and VI, identified through the paper's filters."""
         return {
-            name: lieid.identify(
-                lieid.Model(ROBOT, effects=effects),
-                self.training,
+            name: identify_segments(
+                lieid.compile(lieid.Model(ROBOT, effects=effects)),
+                paper_filtered(self.training, CUTOFF),
                 method=method,
-                processing=PAPERS_FILTERS,
             )
             for name, effects, method in (
                 ("Eq. 10", EQ_10, "wls"),

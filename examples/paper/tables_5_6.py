@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from arm import PRINTED, Array, N
-from lab import CUTOFF, EQ_10, EQ_16, PAPERS_FILTERS, PERIOD, REF_6, Lab
+from filters import paper_filtered
+from lab import CUTOFF, EQ_10, EQ_16, PERIOD, REF_6, Lab
 from measure import Errors, difference, errors
 from page import COLOURS, INK, Claim, Section, joints, listed, show, table
 
-from lieid_casadi.recording import Recording, process
+from lieid_casadi.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -67,7 +68,7 @@ def section(lab: Lab) -> Section:
 
 
 def _errors(lab: Lab, recording: Recording) -> dict[str, Errors]:
-    segments = process(recording, PAPERS_FILTERS)
+    segments = paper_filtered(recording, CUTOFF)
     found = {name: errors(fit, segments) for name, fit in lab.no_load_fits.items()}
     for name, title in REFERENCES.items():
         found[title] = errors(lab.payload_fits[name], segments)
@@ -80,7 +81,7 @@ def _noise(lab: Lab, which: int) -> Array:
     RLOESS is not linear, so that two noisy recordings are compared.
     """
     one, other = (
-        np.concatenate([s.filter(s.tau) for s in process(recording, PAPERS_FILTERS)])
+        np.concatenate([s.filter(s.tau) for s in paper_filtered(recording, CUTOFF)])
         for recording in ((lab.training, lab.verification)[which], lab.repetitions[which])
     )
     return np.asarray(np.sqrt(0.5 * np.mean((one - other) ** 2, axis=0)))

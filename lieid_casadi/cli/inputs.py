@@ -176,9 +176,7 @@ def processing_of(args: argparse.Namespace) -> Processing:
     """Return the filter options."""
     from lieid_casadi.recording import Processing
 
-    return Processing(
-        cutoff=args.cutoff, average_periods=args.average_periods, smoother=args.smoothing
-    )
+    return Processing(cutoff=args.cutoff)
 
 
 def drives_of(args: argparse.Namespace, robot: Robot) -> tuple[Drive, ...] | None:
@@ -268,8 +266,6 @@ def _reading_options(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
         "revolute": np.array([joint.revolute for joint in robot.joints]),
         "position_limits": np.column_stack(limits),
     }
-    if args.inflate_limit is not None:
-        options["inflate_limit"] = int(args.inflate_limit * 2**20)
     if args.episodes is not None:
         options["episodes"] = _episodes(args.episodes)
     if args.calibration is not None:

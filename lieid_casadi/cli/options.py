@@ -169,7 +169,6 @@ SHARED = {
     --units UNIT[,UNIT] = ''  units of the recordings that are not SI: deg, and ms, us or ns
     --columns NAME=COLUMN,…  columns of other names than those of the file format, such as
         t=stamp,q=pos_*,tau1=effort
-    --inflate-limit MIB: above  size that a compressed recording may inflate to; default: 1024
     @DATASETS @CORRECTIONS
     """,
     "DRIVES": """
@@ -227,9 +226,6 @@ SHARED = {
     """,
     "PROCESSING": """
     --cutoff HZ: number  cut-off frequency of the low-pass filter; default: chosen from the data
-    --average-periods  average periodic recordings over periods
-    --smoothing {butterworth,rloess} = butterworth  filter; rloess smooths acceleration and torque
-        by robust local regression before it
     """,
     # the defaults are those of `default_limits`
     "LIMITS": """

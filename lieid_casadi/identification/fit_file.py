@@ -84,7 +84,6 @@ def read_fields(path: str | Path) -> dict[str, Any]:
     try:
         model = Model(_robot(content.robot), content.effects)
         _check_sizes(model, content)
-        processing = Processing(**msgspec.to_builtins(content.processing))
     except EffectError as error:  # names an effect that is not registered
         raise EffectError(f"{path}: {error}") from None
     except LieidError as error:
@@ -97,7 +96,7 @@ def read_fields(path: str | Path) -> dict[str, Any]:
         "residual_noise": tuple(
             Noise(np.array(e.filter), e.sigma, e.spread, e.rises) for e in content.residual_noise
         ),
-        "processing": processing,
+        "processing": content.processing,
         "conditioning": content.conditioning,
         "warnings": tuple(_warning(w) for w in content.warnings),
         "provenance": content.provenance,
@@ -127,6 +126,8 @@ def _check_sizes(model: Model, content: Content) -> None:
             "its parameters are not those that this version derives for its robot and effects; "
             "fit again"
         )
+    if content.processing.cutoff is None:
+        raise FitFileError("processing has no cutoff; fit again")
     total, n, shapes = len(fitted), model.n, len(model.shapes)
     per_joint = ("noise", "residual_noise", "rms_train", "rms_train_raw", "rms_cv")
     sizes = {
@@ -224,7 +225,7 @@ def _warning(item: WarningFile) -> LieidWarning:
     return kind(item.message)
 
 
-SCHEMA = 4
+SCHEMA = 5
 KIND = "lieid-fit"
 LARGEST_FILE = 64 << 20  # bytes; a fit of ten joints with all effects has less than 1 MB
 
@@ -278,16 +279,6 @@ class NoiseFile(Struct, forbid_unknown_fields=True):
     rises: Annotated[float, Meta(ge=1.0, le=LARGEST)] = 1.0  # `Noise.motion_ratio`
 
 
-class ProcessingFile(Struct, forbid_unknown_fields=True):
-    """Filter options."""
-
-    cutoff: Positive
-    trim: NotNegative
-    order: int
-    average_periods: bool
-    smoother: str
-
-
 class WarningFile(Struct, forbid_unknown_fields=True):
     """A warning: its class and its text."""
 
@@ -330,7 +321,7 @@ class Content(Struct, forbid_unknown_fields=True):
     rms_train: list[NotNegative]
     rms_train_raw: list[NotNegative]
     rms_cv: list[NotNegative | None]
-    processing: ProcessingFile
+    processing: Processing
     conditioning: Conditioning
     warnings: list[WarningFile]
     provenance: Provenance
@@ -392,4 +383,7 @@ def _migrated(raw: dict[str, Any], path: Path) -> dict[str, Any]:
         missing["residual_noise"] = [{"filter": [1.0], "sigma": x, "spread": x} for x in sizes]
     if schema < 4:  # stored no intervals of shape parameters
         missing["shape_intervals"] = None
+    processing = raw.get("processing")
+    if schema < 5 and isinstance(processing, dict):  # stored options that ended
+        missing["processing"] = {name: processing.get(name) for name in ("cutoff", "trim")}
     return raw | missing | {"schema": SCHEMA}

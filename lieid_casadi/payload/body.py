@@ -122,11 +122,6 @@ def nearest_feasible_body(parameters: Array, covariance: Array, hidden: Array) -
     raise failure
 
 
-def distance(body: Array, parameters: Array, covariance: Array, hidden: Array) -> float:
-    """Return the distance between a body and an estimate in standard deviations."""
-    return float(np.sqrt(_precision(parameters, covariance, hidden).misfit(body)))
-
-
 def _ball(parameters: Array) -> Array:
     """Return a ball of the estimated mass at the estimated centre."""
     mass = max(float(parameters[0]), LEAST_MASS)

@@ -14,7 +14,6 @@ from lieid_casadi.errors import (
     ConvergenceWarning,
     FrictionChangedWarning,
     IdentificationError,
-    ImpossiblePayloadWarning,
     LieidWarning,
     NegativeMassWarning,
     PayloadMisfitWarning,
@@ -36,7 +35,6 @@ from lieid_casadi.payload.body import (
     NAMES,
     SCALE,
     UNITS,
-    distance,
     identifiable_quantities,
     nearest_feasible_body,
     physical_jacobian,
@@ -57,9 +55,6 @@ from lieid_casadi.robot.robot import Robot
 WEAK = 0.3  # relative standard deviation above which a quantity is reported as not identified
 MASS = 0.05  # kg: a mass with this standard deviation is reported however small it is
 LENGTH = 0.02  # m: the same for the centre of mass
-ANOTHER_ARM = 0.2  # residual over the torque's standard deviation that no payload explains, …
-TIMES = 5.0  # … if it is also that many times the fit's own error
-IMPOSSIBLE = 6.0  # standard deviations in ten parameters: p = 1e-4
 MISFIT = 2.0  # residual over the fit's own error that is reported
 FALL = 0.1  # relative reduction of the error by refitting friction that is reported
 CERTAIN = 4.0  # standard deviations of a change of friction that is reported
@@ -135,28 +130,6 @@ def _fit_warnings(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarnin
     ]
 
 
-def _require_same_arm(fit: Fit, estimate: LoadedRunEstimate, run: LoadedRun) -> None:
-    """Raise if the residual is too large to be explained by a payload."""
-    rows = run.design.rows(fit.shapes, fit.parameters)
-    residual, own = estimate.noise, _own_error(fit)
-    spread = np.array([np.std(j.torque) if len(j.torque) else np.inf for j in rows.joints])
-    part = residual / np.where(spread > 0.0, spread, np.inf)
-    bad = (part > ANOTHER_ARM) & (residual > TIMES * own)
-    # a small joint may differ by its friction alone: the joint with the largest torque decides
-    heaviest = int(np.argmax(np.where(np.isfinite(spread), spread, 0.0)))
-    if not bad[heaviest] and bad.sum() <= len(bad) // 2:
-        return
-    j = int(np.argmax(np.where(bad, part, 0.0)))
-    name = run.design.segments[0].recording.name or "the recording"
-    raise IdentificationError(
-        f"{name}: no payload explains this run: the residual on joint {j + 1} is "
-        f"{residual[j]:.3g} N·m, with a torque of standard deviation {spread[j]:.3g} N·m and a "
-        f"held-out error of the fit of {own[j]:.2g} N·m; expected a run of the arm "
-        f"{fit.model.robot.name!r}, torques in N·m or currents with "
-        "--torque-constants"
-    )
-
-
 def _changed_friction(
     run: LoadedRun,
     kept: LoadedRunEstimate,
@@ -189,7 +162,7 @@ def _changed_friction(
 def _payload_warnings(
     fit: Fit, result: PayloadEstimate, estimate: LoadedRunEstimate, residuals: Array
 ) -> list[LieidWarning]:
-    """Warn of a negative mass, an infeasible body, large ``residuals`` (n,), no convergence.
+    """Warn of a negative mass, large ``residuals`` (n,), no convergence.
 
     These are with the friction of the fit: friction identified again imitates another arm.
     """
@@ -203,16 +176,7 @@ def _payload_warnings(
                 f"consistent body has {result.feasible[0]:.3g} kg"
             )
         )
-    away = distance(result.feasible, estimate.parameters, estimate.covariance, estimate.hidden)
-    if away > IMPOSSIBLE and not result.mass < 0.0:
-        found.append(
-            ImpossiblePayloadWarning(
-                f"these parameters are physically implausible: the nearest physically consistent "
-                f"body is {away:.0f} standard deviations away; something else has changed as well, "
-                "or the run is of another arm"
-            )
-        )
-    own = _own_error(fit)
+    own = np.maximum(np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise), 1e-9)
     for j, residual in enumerate(residuals):
         if np.isfinite(result.rms_after[j]) and residual > MISFIT * own[j]:
             found.append(
@@ -227,10 +191,6 @@ def _payload_warnings(
     if not estimate.converged:
         found.append(ConvergenceWarning("the iteration of load and payload did not converge"))
     return found
-
-
-def _own_error(fit: Fit) -> Array:
-    return np.maximum(np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise), 1e-9)
 
 
 ROUNDING = 1e-10  # least variance relative to the sum of its terms before cancellation
@@ -273,7 +233,7 @@ def identify_payload(
     ModelError, EffectError, RecordingError
         The recordings do not match the model.
     IdentificationError
-        No joint moves, or no payload explains the run, which is then of another arm.
+        No joint moves, or the motion identifies no parameter of a payload.
     NoSolution
         The solver did not find a physically consistent body.
 
@@ -291,9 +251,7 @@ def identify_payload(
     found = _fit_warnings(fit, given)
     found += [w for r in given for w in check_torque_constants(fit.provenance, r)]
     report("process", 0.2)
-    options = replace(fit.processing, average_periods=False)
-    if cutoff is not None:
-        options = replace(options, cutoff=cutoff)
+    options = fit.processing if cutoff is None else replace(fit.processing, cutoff=cutoff)
     segments, _ = center_temperature(process(given, options), fit.temperature_mean)
     require_one_load(segments)
     run = LoadedRun(fit, Design(fit.compiled, segments))
@@ -312,7 +270,6 @@ def identify_payload(
             f"{given[0].name or 'the recordings'}: no parameter of a payload can be identified "
             "from this motion with this fit; expected a motion of several joints, in both"
         )
-    _require_same_arm(fit, kept, run)
     found += [*checked, *changed]
     report("feasible body", 0.8)
     result = replace(

@@ -17,6 +17,7 @@ from lieid_casadi.premises import joints, match, mounting, samples, timing, torq
 from lieid_casadi.premises.correction import Correction, with_all_remedies
 from lieid_casadi.premises.findings import Finding, PremiseCheck
 from lieid_casadi.premises.plain_fit import Samples, samples_of
+from lieid_casadi.premises.rigid_columns import RigidArm
 from lieid_casadi.premises.screen import Alternative, Errors, Screen
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
@@ -164,6 +165,7 @@ class _State:
     robot: Robot
     recordings: tuple[Recording, ...]
     samples: Samples
+    arm: RigidArm
     findings: tuple[Finding, ...] = ()
     weightless: bool = False
 
@@ -177,7 +179,8 @@ class _State:
             made = [replace(r, t=r.t * found.value["factor"]) for r in made]
             findings.append(found)
         placeholder = torque_signal.weightless(robot)
-        return cls(robot, tuple(made), samples_of(made), tuple(findings), placeholder)
+        arm = RigidArm.of(robot)
+        return cls(robot, tuple(made), samples_of(made), arm, tuple(findings), placeholder)
 
     @cached_property
     def compared(self) -> Screen:
@@ -191,7 +194,7 @@ class _State:
 
     def _screen(self, most: int, *, parts: bool) -> Screen:
         stated = not self.weightless
-        return Screen(self.robot, self.samples, most=most, parts=parts, stated_torque=stated)
+        return Screen(self.robot, self.samples, most, parts, stated, self.arm)
 
     def corrected(self, correction: Correction) -> _State:
         """Return the state after a correction."""
@@ -200,7 +203,7 @@ class _State:
         if correction.time != 1.0:  # filters and rests depend on the unit of time
             made = samples_of(recordings)
         if correction.weight:
-            whole = Screen(self.robot, made, most=len(made.t))
+            whole = Screen(self.robot, made, len(made.t), known_arm=self.arm)
             made = replace(made, tau=made.tau + whole.weight)
         return replace(
             self, robot=correction.of_robot(self.robot), recordings=recordings, samples=made

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.recording import Processing, Recording, process
+from lieid_casadi.recording import Processing, Recording, choose_cutoff, process
+from lieid_casadi.recording.sample_timing import require_plausible_rate
 
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
@@ -115,7 +116,10 @@ def samples_of(recordings: Sequence[Recording], *, most: int = 2400) -> Samples:
     used, in blocks of time at even distances.
     """
     bare = [replace(r, dq=None, ddq=None, command=None, temperature=None) for r in recordings]
-    cutoff = float(np.clip(process(bare)[0].cutoff, LOWEST_CUTOFF, HIGHEST_CUTOFF))
+    for recording in bare:
+        require_plausible_rate(recording.t, recording.title)
+    chosen = np.median([choose_cutoff(recording) for recording in bare])
+    cutoff = float(np.clip(chosen, LOWEST_CUTOFF, HIGHEST_CUTOFF))
     cutoff = min(cutoff, CUTOFF_OVER_RATE * min(r.rate for r in recordings))
     made, first = list[Samples](), 0
     for recording, without in zip(recordings, bare, strict=True):

@@ -7,35 +7,42 @@ take a millisecond, where a compiled function would first take seconds of the co
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.dynamics.base_parameters import base_parameters
 from lieid_casadi.robot import Robot
 
 Index = NDArray[np.intp]
+#: Gravity along no axis, m/s²: base parameters for it serve every direction.
+ANY_GRAVITY = np.array([3.0, 5.0, -7.0])
 
 
 @dataclass(frozen=True, eq=False)
 class RigidArm:
     """The kept link parameters of an arm, and the constants of its joints.
 
-    Per joint: ``poses`` (12, 3) are rotation and position of its link frame in the frame before
+    ``combination`` (k, 10 n) gives base parameters for gravity in any direction. Per joint:
+    ``poses`` (12, 3) are rotation and position of its link frame in the frame before
     it, over 1, sin q, 1 − cos q (a prismatic one: 1, q, 0); ``own`` are the numbers of its link's
     columns, and ``wrenches`` (6 k, 12) force and moment of these, see `WRENCHES`.
     """
 
     robot: Robot
     kept: Index
+    combination: Array
     poses: tuple[Array, ...]
     own: tuple[Index, ...]
     wrenches: tuple[Array, ...]
 
     @classmethod
-    def of(cls, robot: Robot, kept: Index) -> RigidArm:
-        """Return the arm with the kept ones of its 10 n link parameters (k,)."""
+    def of(cls, robot: Robot) -> RigidArm:
+        """Return the arm of a robot, whose gravity is not used."""
+        base = base_parameters(replace(robot, gravity=ANY_GRAVITY, source=None))
+        kept = base.kept
         before, poses = np.eye(4), []
         for joint in robot.joints:
             twist = np.zeros((4, 4))  # screws have no pitch: they turn (ω·v = 0) or slide (ω = 0)
@@ -46,7 +53,7 @@ class RigidArm:
             before = joint.home
         own = tuple(np.flatnonzero(kept // 10 == i) for i in range(robot.n))
         wrenches = tuple(WRENCHES[:, kept[at] % 10].reshape(-1, 12) for at in own)
-        return cls(robot, kept, tuple(poses), own, wrenches)
+        return cls(robot, kept, base.combination, tuple(poses), own, wrenches)
 
     def columns(self, q: Array, dq: Array, ddq: Array, gravity: Array) -> Array:
         """Return columns (n, k, N) of the regressor.

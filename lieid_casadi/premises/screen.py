@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
 from lieid_casadi.premises.correction import Correction
 from lieid_casadi.premises.plain_fit import (
     FRICTION,
@@ -30,8 +29,6 @@ LEAST_RELATIVE = 1e-4
 #: Least part of a joint's power that is friction, and of its standard deviation (jackknife), from
 #: which the sign of friction is clear.
 LEAST_POWER, CLEAR = 0.05, 5.0
-#: Gravity along no axis, m/s²: base parameters for it serve every direction.
-ANY_GRAVITY = np.array([3.0, 5.0, -7.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +98,7 @@ class Screen:
     most: int = 300
     parts: bool = False
     stated_torque: bool = True
+    known_arm: RigidArm | None = None
     _scores: dict[bytes, float] = field(default_factory=dict)
 
     @property
@@ -109,21 +107,16 @@ class Screen:
         return self.robot.n
 
     @cached_property
-    def base_parameters(self) -> BaseParameters:
-        """Base parameters for gravity in any direction."""
-        return base_parameters(replace(self.robot, gravity=ANY_GRAVITY, source=None))
-
-    @cached_property
     def arm(self) -> RigidArm:
         """The arm's base parameters and geometry."""
-        return RigidArm.of(self.robot, self.base_parameters.kept)
+        return self.known_arm or RigidArm.of(self.robot)
 
     @cached_property
     def parameters(self) -> Array | None:
         """Stated base parameters (k,), or None without them."""
         if not (self.robot.has_inertia and self.stated_torque):
             return None
-        return np.asarray(self.base_parameters.combination @ self.robot.link_parameters)
+        return np.asarray(self.arm.combination @ self.robot.link_parameters)
 
     @cached_property
     def gravity(self) -> Array:

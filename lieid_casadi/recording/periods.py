@@ -1,21 +1,17 @@
-"""Periodic motion: its period, the noise from period to period, the mean period."""
+"""Periodic motion: its period, and the noise from period to period."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording.filtering import (
     lowpass,
     smooth_at,
     straight_at,
     uniform_time,
 )
-from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS
 from lieid_casadi.recording.recording import Recording
 
 #: Rate of the samples in which periods are searched, Hz.
@@ -73,38 +69,6 @@ def period_noise(recording: Recording, *, cutoff: float | None = None) -> Array 
     first = grid[(grid >= start) & (grid <= end - period)]
     difference = straight_at(grid, tau, first + period) - straight_at(grid, tau, first)
     return np.asarray(np.sqrt(np.mean(difference**2, axis=0) / 2.0))
-
-
-def mean_period(recording: Recording, margin: float) -> Recording:
-    """Return the mean over all full periods, continued by a margin, s, at both ends."""
-    period = detect_period(recording)
-    if period is None:
-        raise RecordingError(
-            f"{recording.title}: no period found, expected two full periods or "
-            "more of the same motion: leave out the averaging over periods"
-        )
-    count = max(8, round(period * recording.rate))
-    step = period / count
-    periods = int((recording.duration + 0.5 * step) // period)
-    extra = min(count, int(np.ceil(margin / step)))
-    order = np.arange(-extra, count + extra + 1)
-    instants = recording.t[0] + np.arange(periods * count) * step
-    instants = np.minimum(instants, recording.t[-1])
-    means = {}
-    for field in ("q", *OPTIONAL_SIGNALS):
-        values = getattr(recording, field)
-        if values is None:
-            continue
-        at = smooth_at if field in ("q", "dq", "ddq") else straight_at
-        folded = at(recording.t, values, instants).reshape(periods, count, recording.n)
-        means[field] = folded.mean(axis=0)[order % count]
-    label = recording.payload_label
-    return replace(
-        recording,
-        t=recording.t[0] + order * step,
-        payload_label=None if label is None else (label[0],) * order.size,
-        **means,
-    )
 
 
 def _difference(x: Array) -> Array:

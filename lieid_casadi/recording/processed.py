@@ -5,38 +5,55 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import binary_opening
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
 from lieid_casadi.recording.filtering import (
     HIGHEST_CUTOFF,
     Window,
+    central_difference,
     decimate,
     filter_memory,
     lowpass,
-    robust_loess,
+    sixth_order_difference,
+    smooth_at,
     straight_at,
     uniform_time,
     windows,
 )
 from lieid_casadi.recording.measurement import read_only
-from lieid_casadi.recording.motion import motion_at
-from lieid_casadi.recording.periods import mean_period
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.repairs import without_repeats
 from lieid_casadi.recording.sample_timing import require_plausible_rate, sample_rate
-from lieid_casadi.recording.spectrum import choose_cutoff
+from lieid_casadi.recording.spectrum import (
+    choose_cutoff,
+    noise_dead_zone,
+    noise_spread,
+    resolution,
+)
 
 #: Largest weight of samples at rest in a filtered sample that counts as moving.
 LARGEST_REST_WEIGHT = 0.1
 #: Least rate of the grid, in cut-offs and in Hz, so that steps of sgn(dq) stay sharp.
 GRID_OVER_CUTOFF, LEAST_GRID = 20.0, 120.0
-#: Highest order of the Butterworth filter: higher ones ring and are ill-conditioned.
-HIGHEST_ORDER = 16
+#: Least time in the dead zone, s, that counts as rest (stiction holds the joint).
+REST_TIME = 0.03
+#: Band of q, dq and ddq in cut-offs, and least band in Hz: the filter of the columns alone limits
+#: the band further, and the duration of reversals and rests does not depend on the cut-off.
+MOTION_BAND, LEAST_BAND = 3.0, 20.0
+#: The derivative replaces the measured velocity if its noise over the band of the motion is lower
+#: by this factor: it contains no motion between two samples.
+MUCH_LESS_NOISE = 2.0
+#: The acceleration is computed from it if its noise at the cut-off is lower by this factor:
+#: differences amplify noise, and the columns' filter removes higher frequencies.
+LESS_NOISE = 1.2
+#: Rates at which noise is compared, in cut-offs and in bands of the motion: it is then that of
+#: the upper half below Nyquist, where motion leaves little.
+RATE_OVER_CUTOFF, RATE_OVER_BAND = 4.0, 2.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,31 +66,16 @@ class Processing:
         Cut-off of the low-pass on torque and columns, Hz; None chooses it from the spectrum.
     trim
         Length that is removed at both ends of every segment, s, because of the filter's edges.
-    order
-        Order of the Butterworth filter in one direction, 1 to 16.
-    average_periods
-        Replace periodic motion by its mean period, which removes drift and warm-up.
-    smoother
-        ``rloess`` smooths ddq and tau by robust local quadratic regression first (paper, 6.2).
     """
 
     cutoff: float | None = None
     trim: float = 0.5
-    order: int = 4
-    average_periods: bool = False
-    smoother: Literal["butterworth", "rloess"] = "butterworth"
 
     def __post_init__(self) -> None:
         if self.cutoff is not None and not (np.isfinite(self.cutoff) and self.cutoff > 0.0):
             raise RecordingError(f"cutoff is {self.cutoff}, expected Hz above 0")
         if not (np.isfinite(self.trim) and self.trim >= 0.0):
             raise RecordingError(f"trim is {self.trim}, expected seconds from 0")
-        if not 1 <= self.order <= HIGHEST_ORDER:
-            raise RecordingError(f"order is {self.order}, expected 1 to {HIGHEST_ORDER}")
-        if self.smoother not in ("butterworth", "rloess"):
-            raise RecordingError(
-                f"smoother is {self.smoother!r}, expected 'butterworth' or 'rloess'"
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,13 +145,13 @@ class Processed:
     @cached_property
     def windows(self) -> tuple[Window, ...]:
         """Windows that can be filtered one by one with the same result as the whole segment."""
-        margin = filter_memory(self.rate, self.cutoff, self.options.order)
+        margin = filter_memory(self.rate, self.cutoff)
         return tuple(windows(self.t.size, self.kept, margin))
 
     def filter_window(self, x: Array, window: Window, axis: int = 0) -> Array:
         """Return the rows of one window of :meth:`filter`."""
         values = np.moveaxis(np.asarray(x, dtype=np.float64), axis, 0)
-        low = lowpass(values, self.rate, self.cutoff, self.options.order)
+        low = lowpass(values, self.rate, self.cutoff)
         return np.moveaxis(low[window.inside], 0, axis)
 
     @cached_property
@@ -178,8 +180,8 @@ def process(
     Raises
     ------
     RecordingError
-        Stamps that are not in seconds, no segment long enough after trimming, a cut-off
-        beyond what the rate can show, or periods to be averaged where there are none.
+        Stamps that are not in seconds, no segment long enough after trimming, or a cut-off
+        beyond what the rate can show.
     """
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not given:
@@ -192,8 +194,7 @@ def process(
     done: list[Processed] = []
     short: list[LieidWarning] = []
     for recording in given:
-        for raw in recording.segments():
-            segment = mean_period(raw, options.trim) if options.average_periods else raw
+        for segment in recording.segments():
             reason = _too_short(segment, cutoff, options.trim)
             if reason:
                 short.append(ShortSegmentWarning(reason))
@@ -230,11 +231,8 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
     times = uniform_time(t, rate)
     rate = (times.size - 1) / float(t[-1] - t[0])
     step = max(1, int(rate / max(GRID_OVER_CUTOFF * cutoff, LEAST_GRID)))
-    motion = motion_at(fresh, times, cutoff)
-    ddq, tau = motion.ddq, None if fresh.tau is None else straight_at(t, fresh.tau, times)
-    if options.smoother == "rloess":
-        ddq = robust_loess(times, ddq, cutoff)
-        tau = None if tau is None else robust_loess(times, tau, cutoff)
+    motion = _motion_at(fresh, times, cutoff)
+    tau = None if fresh.tau is None else straight_at(t, fresh.tau, times)
 
     def straight(values: Array | None) -> Array | None:
         return None if values is None else read_only(straight_at(t, values, times)[::step])
@@ -243,7 +241,7 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
         t=read_only(times[::step]),
         q=read_only(motion.q[::step]),
         dq=read_only(motion.dq[::step]),
-        ddq=read_only(ddq[::step]),
+        ddq=read_only(motion.ddq[::step]),
         tau=None if tau is None else read_only(decimate(tau, rate, step)),
         temperature=straight(fresh.temperature),
         command=straight(fresh.command),
@@ -256,3 +254,87 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
         options=options,
         warnings=() if repeated is None else (repeated,),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Low-passed motion of one segment, (K, n) each; see `Processed`."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+    moving: Mask
+    dead_zone: Array  # (n,)
+
+
+def _motion_at(part: Recording, times: Array, cutoff: float) -> _Motion:
+    """Return the motion of a segment at uniform times (K,), s, for a cut-off of the columns, Hz."""
+    rate = (times.size - 1) / float(times[-1] - times[0])
+    band = max(MOTION_BAND * cutoff, LEAST_BAND)
+    q = smooth_at(part.t, part.q, times)
+    derivative = central_difference(q, rate)
+    dead_zone = _derivative_dead_zone(q, derivative, rate, band)
+    velocity, for_acceleration = derivative, None
+    if part.dq is not None:
+        measured = smooth_at(part.t, part.dq, times)
+
+        def is_better(factor: float, frequency: float) -> Mask:
+            """Mark joints (n,) whose derivative has less noise at a rate than the velocity."""
+            step = max(1, int(rate / frequency))
+            noise = noise_spread(decimate(measured, rate, step))
+            return np.asarray(factor * _derivative_noise(q, derivative, rate, step) < noise)
+
+        derived = is_better(MUCH_LESS_NOISE, RATE_OVER_BAND * band)
+        velocity = np.where(derived, derivative, measured)
+        better = is_better(LESS_NOISE, RATE_OVER_CUTOFF * cutoff)
+        if not np.array_equal(derived, better):
+            for_acceleration = np.where(better, derivative, measured)
+        own = noise_dead_zone(measured, kept=band / (0.5 * rate))
+        dead_zone = np.where(derived, dead_zone, own)
+    dq = lowpass(velocity, rate, band)
+    if part.ddq is not None:
+        ddq = lowpass(smooth_at(part.t, part.ddq, times), rate, band)
+    elif for_acceleration is None:
+        ddq = central_difference(dq, rate)
+        if part.command is not None and part.dq is None:
+            # commands are recorded at low rates, and their torque is as exact as the positions
+            exact = lowpass(sixth_order_difference(q, rate), rate, band)
+            ddq = sixth_order_difference(exact, rate)
+    else:
+        ddq = central_difference(lowpass(for_acceleration, rate, band), rate)
+    moving = _moving(dq, dead_zone, rate)
+    return _Motion(lowpass(q, rate, band), np.where(moving, dq, 0.0), ddq, moving, dead_zone)
+
+
+def _moving(dq: Array, dead_zone: Array, rate: float) -> Mask:
+    """Mark (K, n) where joints do not rest.
+
+    Dry friction is undetermined where stiction holds a joint, even for an instant at a reversal.
+    A reversal without stiction passes through the dead zone sooner, and there the velocity's own
+    sign is the best estimate.
+    """
+    structure = np.ones((max(round(rate * REST_TIME), 2), 1), dtype=bool)
+    rest = binary_opening(np.abs(dq) <= dead_zone, structure=structure)
+    return np.asarray(~rest)
+
+
+def _derivative_noise(q: Array, derivative: Array, rate: float, step: int) -> Array:
+    """Return the noise (n,) of the derivative, with its errors of truncation and rounding."""
+    slow = decimate(derivative, rate, step)
+    # the error of a central difference of step h is h²/6 of the third derivative
+    bend = np.diff(slow, n=2, axis=0) / (6.0 * step**2)
+    missed = 1.4826 * np.median(np.abs(bend), axis=0)
+    # rounding jumps as often as the motion crosses a quantum, at most every sample
+    quantum = resolution(q)
+    speed = np.sqrt(np.mean(slow**2, axis=0))
+    share = np.clip(rate / step * quantum / np.maximum(speed, 1e-300), 1.0 / step, 1.0)
+    rounding = quantum / np.sqrt(12.0) * np.sqrt(share) * 0.5 * np.pi * rate / step
+    return np.asarray(np.sqrt(noise_spread(slow) ** 2 + missed**2 + rounding**2))
+
+
+def _derivative_dead_zone(q: Array, derivative: Array, rate: float, band: float) -> Array:
+    """Return the dead zone (n,) of the low-passed derivative; a quantum is one step a period."""
+    step = max(1, int(rate / (RATE_OVER_BAND * band)))
+    low = decimate(derivative, rate, step)
+    kept = min(1.0, band / (0.5 * rate / step))
+    return noise_dead_zone(low, kept=kept, quantum=resolution(q) * min(band, 0.5 * rate))

@@ -36,7 +36,6 @@ from lieid_casadi.recording.readers.columns import (
     parse_columns,
 )
 from lieid_casadi.recording.readers.registry import (
-    INFLATE_LIMIT,
     ReadOptions,
     read_measurement,
     write_measurement,
@@ -179,7 +178,6 @@ class Recording(Measurement):
         position_limits: ArrayLike | None = None,
         units: str | Sequence[str] = (),
         revolute: Mask | None = None,
-        inflate_limit: int = INFLATE_LIMIT,
     ) -> Self:
         """Read CSV, NPZ, Parquet, MCAP, a ROS bag or a LeRobot dataset.
 
@@ -212,8 +210,6 @@ class Recording(Measurement):
             or ``"ns"`` (t); several separated by commas or as a sequence.
         revolute
             (n,) True for joints that turn, to which ``"deg"`` applies; None: all of them.
-        inflate_limit
-            Bytes that a compressed file may inflate to.
 
         Raises
         ------
@@ -232,7 +228,6 @@ class Recording(Measurement):
             calibration=calibration,
             position_limits=None if position_limits is None else read_only(position_limits),
             degrees=unit_factors(units)[1] != 1.0,
-            inflate_limit=inflate_limit,
             part=_part_ends(start, end, unit_factors(units)[0]),
         )
         made = convert_units(read_measurement(file, options), units, revolute)

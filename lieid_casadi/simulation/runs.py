@@ -130,7 +130,7 @@ class Run:
 
 def runs_of(fit: Fit, recording: Recording, window: float, under: Input) -> list[Run]:
     """Return the segments of a recording, for windows in s; too short ones are left out."""
-    options = Processing(cutoff=fit.processing.cutoff, trim=0.0, order=fit.processing.order)
+    options = Processing(cutoff=fit.processing.cutoff, trim=0.0)
     made = []
     for raw in process(recording, options):
         segment = relative_temperature(raw, fit.temperature_mean)

@@ -24,12 +24,3 @@ def test_a_fold_keeps_what_its_rows_do_not_determine(excited, second):
     np.testing.assert_allclose(solve(rest).values, [3.0, 7.0])
     found = solve(with_whole_fit(rest, held, WHOLE)).values
     np.testing.assert_allclose(found, [3.0, second], atol=0.01)
-
-
-def test_directions_are_those_of_all_parameters_together():
-    """Only the sum of the parameters is determined without the held-out row."""
-    rest = factor([[1.0, 1.0], [1.0, 1.0 + 1e-4]], [5.0, 5.1])
-    held = factor([[1.0, -1.0]], [-1.0])
-    first, second = solve(with_whole_fit(rest, held, WHOLE)).values
-    assert first + second == pytest.approx(5.05, abs=1e-3)
-    assert first - second == pytest.approx(WHOLE[0] - WHOLE[1], abs=1e-3)

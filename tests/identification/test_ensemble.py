@@ -46,14 +46,6 @@ def test_the_model_of_the_arm_has_the_weight(fits, test):
     np.testing.assert_allclose(backwards[::-1], weights, atol=1e-9)
 
 
-def test_equivalent_models_have_equal_weights(fits, test):
-    """Another effect that is not there, fitted to be zero, changes the error by its noise alone."""
-    same = model_weights([fits[0], fits[0]], test)
-    np.testing.assert_allclose(same, 0.5)
-    first, second = model_weights(fits[1:], test)
-    assert 0.02 < first / second < 50.0
-
-
 def test_samples_of_rivals_are_in_proportion_to_their_weights(fits):
     samples = fits[0].sample(60, seed=3, rivals=fits[1:], weights=[3, 0, 1])
     names = [",".join(s.model.effects) for s in samples]

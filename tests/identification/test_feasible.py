@@ -91,16 +91,6 @@ def test_prediction_is_as_good_as_that_of_least_squares(panda_run, panda_fit):
     np.testing.assert_allclose(panda_fit.certificate.rms_wls, least.rms_train, rtol=1e-9)
 
 
-def test_the_truth_is_recovered_where_no_constraint_is_active():
-    robot = lieid.robots.two_link()
-    friction = plant.JointFriction(np.array([1.2, 0.5]), np.array([0.6, 0.3]), np.zeros(2))
-    _, recording = measured(robot, friction=friction, noise=0.0, duration=20.0)
-    model = lieid.Model(robot, "coulomb,viscous")
-    least = lieid.identify(model, recording, processing=CUTOFF)
-    fit = consistent(recording, robot, "coulomb,viscous", regularization=1e-6)
-    np.testing.assert_allclose(fit.values, least.values, rtol=0.0, atol=2e-3)
-
-
 def test_impossible_least_squares_values_are_corrected():
     """A torque sensor of the wrong sign on the elbow gives impossible inertias."""
     robot = lieid.robots.two_link()
@@ -128,9 +118,7 @@ def test_coefficients_at_a_bound_are_reported():
     assert "least squares gives -0.1" in str(warning)
 
 
-@pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))]
-)
+@pytest.mark.parametrize("seed", [0, 1])
 def test_random_arms_are_always_feasible(seed):
     """Arbitrary axes, prismatic joints, gravity of any direction; nominal bodies 40 % off."""
     rng = np.random.default_rng(seed)

@@ -33,14 +33,6 @@ def numbers():
     return np.concatenate([MODEL.robot.link_parameters, coefficients])
 
 
-def test_dry_level_is_half_the_jump_of_friction(segment, numbers):
-    compiled = lieid.compile(MODEL)
-    level = dry_level(compiled, segment, np.zeros(0), numbers)
-    load = compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, numbers[:20])
-    np.testing.assert_allclose(level[:, 0], 2.0, atol=1e-7)
-    np.testing.assert_allclose(level[:, 1], 0.5 + 0.1 * np.abs(load[:, 1]), atol=1e-7)
-
-
 def test_standard_deviation_is_that_of_random_signs(segment, numbers):
     compiled = lieid.compile(MODEL)
     found = friction_torque_std(compiled, segment, np.zeros(0), numbers)

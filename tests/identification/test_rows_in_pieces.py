@@ -1,34 +1,11 @@
 """Triangular factors of rows in pieces against the whole; columns shared by several models."""
 
 import numpy as np
-import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.compiled import kernels
-from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.recording import Processing, process
-
-
-def without_compiler(monkeypatch):
-    monkeypatch.setattr(kernels.CompilerFailure, "reason", "reported before")
-
-
-@pytest.mark.parametrize("compiled", [True, False])
-def test_triangle_of_pieces_and_weights(compiled, monkeypatch):
-    if not compiled:
-        without_compiler(monkeypatch)
-    rng = np.random.default_rng(0)
-    matrix, torque, weights = rng.normal(size=(1300, 20)), rng.normal(size=1300), rng.random(1300)
-    matrix[:, 7] = 0.0
-    triangle = Triangle(21)
-    for first, last in [(0, 3), (3, 3), (3, 600), (600, 1300)]:
-        rows = slice(first, last)
-        triangle.add(matrix[rows], torque[rows], weights=weights[rows])
-    whole = np.column_stack([matrix, torque]) * weights[:, None]
-    np.testing.assert_allclose(triangle.r.T @ triangle.r, whole.T @ whole, atol=1e-10)
-    np.testing.assert_array_equal(np.tril(triangle.r, -1), 0.0)
 
 
 def recorded(duration, seed):

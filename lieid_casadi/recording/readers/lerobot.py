@@ -143,7 +143,7 @@ def _frames(folder: Path, parquet: Any, options: ReadOptions) -> dict[str, Any]:
     if end is not None:
         chosen.append(("episode_index", "<", end))
     for file in _data_files(folder, first, end):
-        require_bounded_size(file, options.inflate_limit)
+        require_bounded_size(file)
         digest.update(file.read_bytes())
         with library_errors(file, "a data file of a LeRobot dataset"):
             table = parquet.read_table(file, columns=wanted, filters=chosen)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from lieid_casadi.recording.readers.columns import (
     signal_names,
 )
 from lieid_casadi.recording.readers.registry import (
+    INFLATE_LIMIT,
     ReadOptions,
     RecordingFormat,
     beyond_limit,
@@ -30,11 +30,6 @@ from lieid_casadi.recording.readers.registry import (
 )
 
 EXPECTED = "arrays t (N,), q (N, n) and optionally dq, tau, ddq, temp, i (N, n), load (N,)"
-#: Readers of an array's header by the version of its format; others hold structured types.
-_HEADERS = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
 
 
 def read_npz(file: Path, options: ReadOptions) -> Measurement:
@@ -81,8 +76,8 @@ def _arrays(
         if "t" not in wanted or not {"q", "q1"} & set(wanted):
             found = names_text(stored) or "nothing"
             raise RecordingError(f"{file}: found {found}, expected {EXPECTED}")
-        if sum(members[name].file_size for name in wanted) > options.inflate_limit:
-            raise beyond_limit(file, options.inflate_limit)
+        if sum(members[name].file_size for name in wanted) > INFLATE_LIMIT:
+            raise beyond_limit(file, INFLATE_LIMIT)
         arrays = {}
         for name in wanted:
             # a member never yields more than the size in the archive's directory
@@ -103,18 +98,9 @@ def _columns(arrays: dict[str, Any]) -> dict[str, Any]:
 
 
 def _array(content: bytes, where: str, label: bool) -> np.ndarray[Any, Any]:
-    """Return the array of a ``.npy`` member, whose header must fit the bytes that follow."""
-    stream = io.BytesIO(content)
-    version = np.lib.format.read_magic(stream)
-    if version not in _HEADERS:
-        raise RecordingError(f"{where}: found .npy version {version}, expected 1.0 or 2.0")
-    shape, fortran, dtype = _HEADERS[version](stream)
-    kinds = "iufbUS" if label else "iufb"
-    if dtype.kind not in kinds:
+    """Return the array of a ``.npy`` member."""
+    array = np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
+    if array.dtype.kind not in ("iufbUS" if label else "iufb"):
         expected = "text or numbers" if label else "real numbers"
-        raise RecordingError(f"{where} holds {dtype}, expected {expected}")
-    size = len(content) - stream.tell()
-    if any(length < 0 for length in shape) or math.prod(shape) * dtype.itemsize != size:
-        raise RecordingError(f"{where}: found {size} bytes, expected those of shape {shape}")
-    flat = np.frombuffer(content, dtype=dtype, offset=stream.tell())
-    return flat.reshape(shape, order="F" if fortran else "C")
+        raise RecordingError(f"{where} holds {array.dtype}, expected {expected}")
+    return np.asarray(array)

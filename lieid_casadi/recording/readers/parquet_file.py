@@ -23,6 +23,7 @@ from lieid_casadi.recording.readers.columns import (
     signal_names,
 )
 from lieid_casadi.recording.readers.registry import (
+    INFLATE_LIMIT,
     ReadOptions,
     RecordingFormat,
     beyond_limit,
@@ -45,7 +46,7 @@ def read_parquet(file: Path, options: ReadOptions) -> Measurement:
     the rows of the part that is asked for.
     """
     _, parquet = import_pyarrow(file)
-    require_bounded_size(file, options.inflate_limit)
+    require_bounded_size(file)
     large = decoded_bytes(file) > MEMORY_PART * memory_bytes()
     with library_errors(file, "a Parquet file"):
         content = parquet.ParquetFile(file)
@@ -81,14 +82,14 @@ def write_parquet(measurement: Measurement, file: Path) -> None:
 FORMAT = RecordingFormat(suffixes=(".parquet",), read=read_parquet, write=write_parquet)
 
 
-def require_bounded_size(file: Path, limit: int) -> None:
-    """Refuse a file that decodes to more than the limit, bytes, and to far more than its own size.
+def require_bounded_size(file: Path) -> None:
+    """Refuse a file that decodes to more than the limit and to far more than its own size.
 
     Measured signals hardly compress, so that files of real recordings pass whatever their size.
     """
     size = decoded_bytes(file)
-    if size > limit and size > LARGEST_RATIO * file.stat().st_size:
-        raise beyond_limit(file, limit)
+    if size > INFLATE_LIMIT and size > LARGEST_RATIO * file.stat().st_size:
+        raise beyond_limit(file, INFLATE_LIMIT)
 
 
 def decoded_bytes(file: Path) -> int:

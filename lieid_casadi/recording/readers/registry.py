@@ -19,7 +19,7 @@ from lieid_casadi.errors import LieidError, RecordingError
 from lieid_casadi.messages import reason_of
 from lieid_casadi.recording.measurement import Measurement
 
-#: Bytes that a compressed file may inflate to unless the caller raises the limit.
+#: Bytes that a compressed file may inflate to.
 INFLATE_LIMIT = 1 << 30
 
 
@@ -34,7 +34,6 @@ class ReadOptions:
     calibration: str | None = None  # of datasets: a file, or limits
     position_limits: Array | None = None  # (n, 2) for limits, rad
     degrees: bool = False  # whether angles are stated to be in degrees; the caller converts
-    inflate_limit: int = INFLATE_LIMIT  # bytes
     part: tuple[float, float] = (-np.inf, np.inf)  # in the file's unit of time
     columns: tuple[tuple[str, str], ...] = ()  # names of the file format, and columns
 
@@ -132,9 +131,7 @@ def hash_of_file(file: Path) -> str:
 
 def beyond_limit(file: Path, limit: int) -> RecordingError:
     """Return the error of a compressed file that inflates beyond the limit, bytes."""
-    size = limit / 2**20
-    stated = f"{size:.0f}" if size >= 100.0 else f"{size:.3g}"
     return RecordingError(
-        f"{file}: inflates to more than the limit of {stated} MiB; if the file is "
-        "what you expect, raise the limit (--inflate-limit MIB, inflate_limit= in Python)"
+        f"{file}: inflates to more than {limit >> 20} MiB; if the file is what you expect, store "
+        "it uncompressed, or in parts"
     )

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import struct
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +16,6 @@ from lieid_casadi.recording.measurement import Measurement
 from lieid_casadi.recording.readers.registry import (
     ReadOptions,
     RecordingFormat,
-    beyond_limit,
     hash_of_file,
     library_errors,
 )
@@ -106,7 +102,6 @@ def _messages(file: Path, options: ReadOptions) -> Iterator[_JointState]:
         raise MissingDependency(
             f"{file}: bags and MCAP need rosbags: pip install 'lieid-casadi[ros]'"
         ) from error
-    require_bounded(file, options.inflate_limit)
     with (
         library_errors(file, EXPECTED),
         AnyReader([file], default_typestore=_type_store()) as reader,
@@ -156,62 +151,3 @@ def _topic(file: Path, reader: Any, topic: str | None) -> str:
             "choose it by topic="
         )
     return topics[0]
-
-
-_CHUNK = 0x06  # MCAP's opcode
-
-
-def require_bounded(file: Path, limit: int) -> None:
-    """Refuse a bag, or a folder with one, whose chunks inflate beyond the limit."""
-    left = limit
-    for part in sorted(file.iterdir()) if file.is_dir() else [file]:
-        for compression, data in _chunks(part):
-            left -= _inflated_bytes(data, compression, left + 1)
-            if left < 0:
-                raise beyond_limit(file, limit)
-
-
-def _chunks(file: Path) -> Iterator[tuple[str, bytes]]:
-    """Yield name of the compression and data of each compressed chunk."""
-    suffix = file.suffix.lower()
-    if suffix == ".zstd":
-        yield "zstd", file.read_bytes()
-    elif suffix == ".mcap" and file.stat().st_size:
-        with file.open("rb") as raw, mmap(raw.fileno(), 0, access=ACCESS_READ) as data:
-            try:
-                yield from _mcap_chunks(data)
-            except (struct.error, ValueError):
-                return  # damaged: rosbags reports it
-
-
-def _mcap_chunks(data: mmap) -> Iterator[tuple[str, bytes]]:
-    place = 8  # the magic bytes
-    while place + 9 <= len(data):
-        size = int(struct.unpack_from("<Q", data, place + 1)[0])
-        start = place + 9
-        if data[place] == _CHUNK:
-            # start and end time, size and checksum; name of the compression; its data
-            name_size = int(struct.unpack_from("<I", data, start + 28)[0])
-            name = data[start + 32 : start + 32 + name_size].decode("ascii")
-            yield name, data[start + 40 + name_size : start + size]
-        place = start + size
-
-
-def _inflated_bytes(data: bytes, compression: str, most: int) -> int:
-    """Return the inflated size, counted up to ``most``; 0 of damaged data."""
-    from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
-
-    if sys.version_info >= (3, 14):  # the module for Zstandard that rosbags uses
-        from compression import zstd
-    else:
-        from backports import zstd
-    streams: dict[str, Callable[[], Any]] = {
-        "lz4": LZ4FrameDecompressor,
-        "zstd": zstd.ZstdDecompressor,
-    }
-    if compression not in streams:
-        return 0
-    try:
-        return len(streams[compression]().decompress(data, max_length=most))
-    except (OSError, ValueError, RuntimeError, EOFError, zstd.ZstdError):
-        return 0
