@@ -144,6 +144,10 @@ class SeparableProblem:
             return ProjectedSolution(free, target - basis @ reduced, basis)
         return self._solve_bounded(columns, target, np.where(np.isinf(scale), 1.0, scale))
 
+    def cost(self, shapes: Array) -> float:
+        """Return the sum of squared residuals at given shapes (s,)."""
+        return float(np.sum(self.solve(shapes).residual ** 2))
+
     def jacobian(self, shapes: Array, solution: ProjectedSolution) -> Array:
         """Return ∂residual/∂shapes ≈ −(1 − QQᵀ)·(∂columns/∂shapes)·c (R, s), after Kaufman."""
         slopes = self._projected(self._slopes(shapes, solution.coefficients))
