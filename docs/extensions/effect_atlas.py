@@ -58,17 +58,6 @@ def arms(name):
         others = "+".join(str(j + 1) for j in range(robot.n) if j != JOINT)
         model[BASE.index(name)] = f"{name}:{others}"
         return bare, replace(bare, friction=replace(friction, **{name: values})), model
-    if name == "sigmoid_friction":
-        coulomb, viscous = friction.coulomb.copy(), friction.viscous.copy()
-        size = coulomb[JOINT]
-        coulomb[JOINT] = viscous[JOINT] = 0.0
-        bare = replace(bare, friction=replace(friction, coulomb=coulomb, viscous=viscous))
-
-        def torque(state):
-            speed = state.dq[..., JOINT]
-            return 2 * size / (1 + np.exp(-8.0 * (speed + 0.05))) - 2 * size / (1 + np.exp(-0.4))
-
-        return bare.with_effects(plant.ForeignTorque(JOINT, torque)), bare, model
     hidden = plant.hidden_effect(bare, HIDDEN.get(name, name), JOINT)
     thermal = plant.Thermal(rise=12.0, time_constant=20.0)
     bare = replace(bare, thermal=thermal) if name == "temperature_friction" else bare

@@ -13,7 +13,6 @@ from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
-    from lieid_casadi.model import Model
     from lieid_casadi.robot import Robot
 
 
@@ -27,20 +26,23 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --symbolic  base parameters with symbols for the lengths between link frames
     @JSON
     """
+    from lieid_casadi.dynamics.symbolic_lengths import symbolic_base
     from lieid_casadi.identification import Fit
+    from lieid_casadi.model import Model
 
     fit = Fit.load(args.robot) if inputs.is_fit(args) and not args.effects else None
     model = inputs.model_of(args) if fit is None else fit.model
     robot = model.robot
     joints = _joints(robot)
-    lengths: list[dict[str, Any]] = []
-    general = model
+    base, lengths = model.base, list[dict[str, Any]]()
     if args.symbolic:
-        general, lengths = _with_symbols(model)
-    base = general.base
+        base, found = symbolic_base(robot, lambda r: Model.of_placements(r, model.placements).base)
+        lengths = [
+            {"name": x.name, "value": float(f"{x.value:.9g}"), "meaning": x.meaning} for x in found
+        ]
     parameters = [
         {"name": base.names[k], "expression": base.expression(i), "unit": column.unit}
-        for i, (k, column) in enumerate(zip(base.kept, general.base_columns, strict=True))
+        for i, (k, column) in enumerate(zip(base.kept, model.base_columns, strict=True))
     ]
     content = {
         "robot": robot.name,
@@ -96,27 +98,6 @@ def _joints(robot: Robot) -> list[dict[str, Any]]:
         }
         for joint in robot.joints
     ]
-
-
-def _with_symbols(model: Model) -> tuple[Model, list[dict[str, Any]]]:
-    """Return the model with symbols for the robot's lengths, and those lengths that appear."""
-    from lieid_casadi.dynamics.symbolic_lengths import symbolic_lengths
-    from lieid_casadi.errors import ModelError
-    from lieid_casadi.model import Model
-
-    made = symbolic_lengths(model.robot)
-    general = Model.of_placements(made.robot, model.placements)
-    if list(general.base.kept) != list(model.base.kept):
-        raise ModelError(
-            f"robot {model.robot.name!r}: with its own lengths, other base parameters are "
-            "identifiable than with lengths in general; expected lieid show without --symbolic"
-        )
-    lengths = [
-        {"name": name, "value": float(f"{value:.9g}"), "meaning": made.places[name]}
-        for name, value in made.values.items()
-        if name in general.base.symbols
-    ]
-    return general, lengths
 
 
 def _joint_table(robot: Robot, joints: list[dict[str, Any]]) -> Table:

@@ -94,7 +94,6 @@ def compile(
     (1, 2, 20)
     """
     made = as_model(model)
-    made.robot.require_numbers("compile")
     return Compiled(made, threads=threads, lanes=lanes)
 
 

@@ -7,7 +7,7 @@ and kept if they are independent of those kept.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.dynamics.null_space import RANK_TOLERANCE, EnergyColumn, null_space, rounded
-from lieid_casadi.dynamics.symbolic_lengths import Polynomial, polynomials
-from lieid_casadi.errors import ModelError
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
 
@@ -37,7 +35,7 @@ class BaseParameters:
         Columns that span the others; scanned first to last, kept if independent.
     combination : (p, P)
         β = combination @ π: coefficient 1 on the kept column, the rest on dropped ones. Floats,
-        or floats and `Polynomial` for a robot with symbols.
+        or floats and polynomials of lengths (`lieid_casadi.dynamics.symbolic_lengths`).
     """
 
     names: tuple[str, ...]
@@ -84,30 +82,8 @@ class BaseParameters:
                 terms.append(f"{factor} ({' + '.join(members)})")
         return " ".join(terms)
 
-    @cached_property
-    def symbols(self) -> frozenset[str]:
-        """Names of the lengths that the combination has."""
-        entries = [x for x in self.combination.flat if isinstance(x, Polynomial)]
-        return frozenset(name for x in entries for powers in x.terms for name, _ in powers)
-
-    def at(self, values: Mapping[str, Any]) -> Any:
-        """Return the combination (p, P) for given lengths by name: numbers, or SX as object."""
-        made = np.empty(self.combination.shape, dtype=object)
-        for index, entry in np.ndenumerate(self.combination):
-            made[index] = entry.at(values) if isinstance(entry, Polynomial) else float(entry)
-        floats = all(isinstance(entry, float) for entry in made.flat)
-        return made.astype(float) if floats else made
-
     def lift(self, base: Matrix, prior: Matrix | None = None) -> Matrix:
-        """Return parameters (P,) of base values (p,), the nearest to a prior (P,) or to zero.
-
-        Raises
-        ------
-        ModelError
-            The combination has symbols.
-        """
-        if self.combination.dtype == object:
-            raise ModelError("base parameters with symbols; expected numbers, robot.with_values")
+        """Return parameters (P,) of base values (p,), the nearest to a prior (P,) or to zero."""
         start = np.zeros(len(self.names)) if prior is None else np.asarray(prior, dtype=float)
         miss = np.asarray(base) - self.combination @ start
         solution, *_ = np.linalg.lstsq(self.combination, miss, rcond=None)
@@ -116,9 +92,10 @@ class BaseParameters:
 
 def _factor(value: Any, digits: int) -> tuple[str, str]:
     """Return sign and size of a coefficient as text."""
-    if isinstance(value, Polynomial):
-        return value.text(digits=digits)
-    return "-" if value < 0 else "+", f"{abs(value):.{digits}g}"
+    if isinstance(value, float):
+        return "-" if value < 0 else "+", f"{abs(value):.{digits}g}"
+    sign, size = value.text(digits=digits)
+    return sign, size
 
 
 def link_parameter_names(n: int) -> tuple[str, ...]:
@@ -142,23 +119,7 @@ def base_parameters(
     extra_names : sequence of str
         Their names.
     """
-    names = (*link_parameter_names(robot.n), *extra_names)
-    if not robot.has_symbols:
-        return reduce(null_space(robot, extra), names)
-    kept = set[tuple[int, ...]]()
-
-    def combination(numbers: Robot) -> Matrix:
-        base = reduce(null_space(numbers, extra), names)
-        kept.add(tuple(map(int, base.kept)))
-        if len(kept) > 1:
-            raise ModelError(
-                f"robot {robot.name!r}: the base parameters depend on the values of its symbols; "
-                "expected numbers, robot.with_values"
-            )
-        return base.combination
-
-    made = polynomials(robot, combination)
-    return BaseParameters(names, np.array(min(kept), dtype=np.intp), made)
+    return reduce(null_space(robot, extra), (*link_parameter_names(robot.n), *extra_names))
 
 
 def reduce(null: Matrix, names: tuple[str, ...]) -> BaseParameters:

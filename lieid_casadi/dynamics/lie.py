@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieid_casadi.robot.geometry import Geometry, relative
+from lieid_casadi.arrays import Array
+from lieid_casadi.robot.geometry import relative
 from lieid_casadi.robot.robot import Robot
 
 ROUNDING = 1e-14  # below it a geometric constant is exactly 0 (or ±1)
@@ -20,23 +21,10 @@ ROUNDING = 1e-14  # below it a geometric constant is exactly 0 (or ±1)
 
 def constant(values: ArrayLike) -> ca.SX:
     """Return geometry as SX, with rounding errors of numbers around 0 and ±1 removed."""
-    array = np.asarray(values)
-    if array.dtype == object:
-        return _expressions(array)
-    array = array.astype(float)
+    array = np.array(values, dtype=float)
     for exact in (-1.0, 0.0, 1.0):
         array[np.abs(array - exact) < ROUNDING] = exact
     return ca.SX(ca.sparsify(ca.DM(array)))
-
-
-def _expressions(array: Geometry) -> ca.SX:
-    """Return numbers and SX expressions as SX, numbers that are zero as structural zeros."""
-    matrix = ca.SX(*(array.shape if array.ndim == 2 else (len(array), 1)))
-    for index, entry in np.ndenumerate(array):
-        element = constant(np.array([entry])) if isinstance(entry, float) else entry
-        if not element.is_zero():
-            matrix[index] = element
-    return matrix
 
 
 def hat(w: ca.SX) -> ca.SX:
@@ -75,12 +63,12 @@ class Pose:
 
 
 def pose(matrix: ArrayLike) -> Pose:
-    """Return a constant pose from its homogeneous matrix (4, 4), numbers or SX."""
+    """Return a constant pose from its homogeneous matrix (4, 4)."""
     m = np.asarray(matrix)
     return Pose(constant(m[:3, :3]), constant(m[:3, 3]))
 
 
-def exp(screw: Geometry, q: ca.SX, sin: ca.SX, cos: ca.SX) -> Pose:
+def exp(screw: Array, q: ca.SX, sin: ca.SX, cos: ca.SX) -> Pose:
     """Return exp(ξ̂·q) for a unit screw (6,) of zero pitch.
 
     ``sin`` and ``cos`` are those of q, passed in so that generated code can take them as

@@ -8,16 +8,20 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar, Literal, Protocol
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi import arrays
+from lieid_casadi.dynamics import closed_form, recursion
+from lieid_casadi.dynamics.lie import Motion, constant, tool_pose
+from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects.effect import Columns, Effect, ShapeSymbols, Signals
-from lieid_casadi.robot import Drive
+from lieid_casadi.robot import Drive, Robot
 
-Array = NDArray[np.float64]
+Array = arrays.Array  # for the effects
 
 
 class SegmentModel(Protocol):
@@ -32,7 +36,7 @@ class SegmentModel(Protocol):
         """q, dq, ddq (K, n)."""
 
     @property
-    def friction_known(self) -> NDArray[np.bool_]:
+    def friction_known(self) -> arrays.Mask:
         """Whether the friction of each joint is determined (K, n).
 
         At rest it is not, but a prediction takes it for zero there.
@@ -86,32 +90,47 @@ class SegmentModel(Protocol):
         """Return the torque (K, n) of effects on single joints at another load (K, n), N·m."""
 
 
-class InstantModel(Protocol):
-    """A model at one instant as symbolic expressions, for generated code."""
+@dataclass(frozen=True, eq=False)
+class InstantModel:
+    """A model at one instant as symbolic expressions, for generated code.
 
-    @property
-    def load(self) -> ca.SX:
-        """Rigid torque (n,), N·m."""
+    ``links`` (10 n,): link parameters; ``load``, ``torque`` (n,): rigid torque, and rigid torque
+    with all effects on single joints, N·m.
+    """
 
-    @property
-    def torque(self) -> ca.SX:
-        """Torque (n,) of the rigid arm and all effects on single joints, N·m."""
-
-    def rigid_beside(self, offset: ca.SX) -> ca.SX:
-        """Return the rigid torque (n,) at q + offset (n,)."""
+    robot: Robot
+    motion: Motion
+    links: ca.SX
+    load: ca.SX
+    torque: ca.SX
 
     @property
     def gravity(self) -> ca.SX:
         """Gravity (3,) in the base frame, m/s²."""
+        return ca.densify(constant(self.robot.gravity))
+
+    def rigid_beside(self, offset: ca.SX) -> ca.SX:
+        """Return the rigid torque (n,) at q + offset (n,), by the addition theorem."""
+        m, sin, cos = self.motion, ca.sin(offset), ca.cos(offset)
+        moved = Motion(
+            m.q + offset, m.sin * cos + m.cos * sin, m.cos * cos - m.sin * sin, m.dq, m.ddq
+        )
+        return recursion.inverse_dynamics(self.robot, moved, self.links)
 
     def gravity_torque(self, gravity: ca.SX) -> ca.SX:
-        """Return the torque (n,) at rest in another gravity (3,)."""
+        """Return the torque (n,) at rest in another gravity (3,), m/s²."""
+        return closed_form.gravity(self.robot, self.motion, self.links, gravity=gravity)
 
     def jacobian(self) -> ca.SX:
         """Return the tool's Jacobian (6, n), [ω; v], base axes."""
+        return closed_form.jacobian(self.robot, self.motion)
 
     def tool_regressor(self) -> ca.SX:
-        """Return the rigid torque (n, 10) per link parameter of a body in the tool's frame."""
+        """Return the rigid torque (n, 10) per link parameter of a body in the tool frame."""
+        body = ca.SX.sym("body", 10)
+        at_link = closed_form.seen_from_parent(tool_pose(self.robot), body)
+        last = regressor(self.robot, self.motion)[:, -10:]
+        return ca.mtimes(last, ca.jacobian(at_link, body))
 
 
 class ArmEffect(Effect):

@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 from scipy.interpolate import PPoly
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation.clearance import Obstacle, SelfCollision, Wall, floor, link_name
 from lieid_casadi.excitation.clearance import pair_name as pair
@@ -43,7 +44,6 @@ TOOL_SPEED = 1.5  # m/s
 FLOOR = 0.0  # m, base frame
 CLEARANCE = 0.02  # m, between links
 CONTROL_STEP = 1e-3  # s; of the verification
-CHUNK = 4000  # samples that constraint sets evaluate at a time
 SINGULAR = 0.1  # σ_min of the tool's Jacobian at rest, in parts of its typical value, at least
 ROUNDING = 1e-6  # of a joint's limit, or m/s: differences between two ways of computing
 ROUNDING_LENGTH = 1e-5  # m; the same for distances
@@ -178,6 +178,11 @@ class _Finding:
         if excess > self.excess.get(subject, -np.inf):
             self.excess[subject], self.times[subject] = excess, time
 
+    def add_along(self, subject: str, excess: Array, t: Array) -> None:
+        """Record the largest excess (N,) along a motion at times t (N,)."""
+        k = int(np.argmax(excess))
+        self.add(subject, float(excess[k]), float(t[k]))
+
     def refuse_violations(self) -> None:
         """Raise `NoSolution` for a subject beyond its limit that is not excused."""
         for subject, excess in self.excess.items():
@@ -227,8 +232,7 @@ def _joint_findings(joints: MotionRange, motion: MotionSamples) -> Iterator[_Fin
         finding.tolerance = ROUNDING * float(stated.max(initial=1.0))
         for j, subject in enumerate(names):
             if np.isfinite(bounds[j]):
-                k = int(np.argmax(values[:, j]))
-                finding.add(subject, float(values[k, j] - bounds[j]), float(motion.t[k]))
+                finding.add_along(subject, values[:, j] - bounds[j], motion.t)
             else:
                 finding.excused[subject] = "no limit is stated"
         yield finding
@@ -244,8 +248,7 @@ def _finding(limit: LimitOnArm, along: ArmAlong, fit: FittedArm | None) -> _Find
         points = speed_points(along.robot)
         speeds = along.speeds([(link, point) for _, link, point in points], own.limit)
         for (subject, _, _), row in zip(points, speeds.T, strict=True):
-            k = int(np.argmax(row))
-            finding.add(subject, float(row[k] - own.limit), float(along.motion.t[k]))
+            finding.add_along(subject, row - own.limit, along.motion.t)
     elif isinstance(own, Torque) and fit is None:
         finding.name, finding.unit = "torque", "N·m"
         _rigid_torque(finding, own, along)
@@ -262,12 +265,9 @@ def _by_its_own_set(finding: _Finding, made: ConstraintSet, motion: MotionSample
     """Evaluate a limit of the user's, or the torque of a fit: only its own functions know it."""
     finding.itemized = bool(made.subjects)
     finding.tolerance = ROUNDING * float(made.scale.max(initial=0.0))
-    for first in range(0, len(motion), CHUNK):
-        part = motion.at(slice(first, first + CHUNK))
-        excess = made.excess(made.values(part))
-        for row, subject in zip(excess, made.subjects or made.labels, strict=True):
-            k = int(np.argmax(row))
-            finding.add(subject, float(row[k]), float(part.t[k]))
+    subjects = made.subjects or made.labels
+    for subject, excess, time in zip(subjects, *made.largest_excess(motion), strict=True):
+        finding.add(subject, float(excess), float(time))
 
 
 def _rigid_torque(finding: _Finding, limit: Torque, along: ArmAlong) -> None:
@@ -278,8 +278,7 @@ def _rigid_torque(finding: _Finding, limit: Torque, along: ArmAlong) -> None:
     excess = np.maximum(np.abs(rigid), np.abs(loaded)) - (limit.fraction - limit.dry) * torque
     for j, subject in enumerate(joint_names(range(along.robot.n))):
         if np.isfinite(torque[j]):
-            k = int(np.argmax(excess[:, j]))
-            finding.add(subject, float(excess[k, j]), float(along.motion.t[k]))
+            finding.add_along(subject, excess[:, j], along.motion.t)
 
 
 def _distances(finding: _Finding, limit: Wall | Obstacle | SelfCollision, along: ArmAlong) -> None:

@@ -168,7 +168,6 @@ def design_model(model: Model) -> tuple[Model, tuple[NotCountedWarning, ...]]:
     temperature, which no trajectory chooses, other effects with memory, and effects on the whole
     arm or on the measurement.
     """
-    model.robot.require_numbers("excite")
     kept: list[Placement] = []
     left_out: list[Placement] = []
     replaced: list[Placement] = []

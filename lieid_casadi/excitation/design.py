@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.checks import CHUNK, CONTROL_STEP, MARGIN, SINGULAR, default_limits
+from lieid_casadi.excitation.checks import CONTROL_STEP, MARGIN, SINGULAR, default_limits
 from lieid_casadi.excitation.criteria import (
     NAMES,
     Criterion,
@@ -52,7 +52,6 @@ TRIED = 2000  # random poses
 RANGE_USED = 0.9  # part of the joint ranges that a motion around the pose uses
 RANGE_TRIED = 0.6  # part of the joint ranges around their middle
 ENOUGH = 0.05  # scaled distance from every limit above which the middle of the ranges is taken
-ORDERED = 50  # poses whose Jacobian is evaluated at a time
 SIGN_WIDTH = 0.02  # width of the smooth sign, in parts of the velocity limit
 DISTANCE = 1e-3  # distance from a limit during the optimization, in parts of its scale
 COARSE = 4  # grid points of the optimization per sample of the criterion
@@ -82,21 +81,14 @@ def excesses_along(
     count = FINE * samples
     count *= int(np.ceil(trajectory.duration / CONTROL_STEP / count))
     times = np.append(period_grid(trajectory.duration, count), trajectory.duration)
-    found: list[Excess] = []
-    for made in sets:
-        worst, when = np.full(len(made.labels), -np.inf), np.zeros(len(made.labels))
-        for first in range(0, len(times), CHUNK):
-            part = trajectory.at(times[first : first + CHUNK])
-            excess = made.excess(made.values(part))
-            k = np.argmax(excess, axis=1)
-            here = excess[np.arange(len(k)), k]
-            when, worst = np.where(here > worst, part.t[k], when), np.maximum(here, worst)
-        parts = zip(made.labels, made.units, worst, made.scale, when, strict=True)
-        found += [
-            Excess(label, unit, float(value), float(value / scale), float(t), made.remedy)
-            for label, unit, value, scale, t in parts
-        ]
-    return found
+    motion = trajectory.at(times)
+    return [
+        Excess(label, unit, float(value), float(value / scale), float(t), made.remedy)
+        for made in sets
+        for label, unit, scale, value, t in zip(
+            made.labels, made.units, made.scale, *made.largest_excess(motion), strict=True
+        )
+    ]
 
 
 class ExcitationProblem:
@@ -297,13 +289,8 @@ def find_start_pose(
             "is violated; relax it, or give a start pose (--start-pose)"
         )
     inside = order[largest[order] <= 0.0]
-    away = np.zeros(0)
-    for first in range(0, len(inside), ORDERED):
-        near = nearness_to_singular(robot, poses[inside[first : first + ORDERED]])
-        away = np.append(away, near)
-        if near.max() >= SINGULAR:
-            return np.asarray(poses[inside[int(np.argmax(away >= SINGULAR))]])
-    return np.asarray(poses[inside[int(np.argmax(away))]])
+    away = nearness_to_singular(robot, poses[inside])
+    return np.asarray(poses[inside[int(np.argmax(np.minimum(away, SINGULAR)))]])
 
 
 def _excess_at_rest(poses: Array, sets: Sequence[ConstraintSet]) -> tuple[Array, list[str]]:

@@ -22,6 +22,7 @@ from lieid_casadi.robot import Robot
 
 ACCELERATION = 3.0  # rad/s² (m/s²) where the robot states none
 LEAST_MOTION = 0.05  # rad; shorter durations are refused
+CHUNK = 4000  # samples that are evaluated at a time
 SMOOTHING = 1e-4  # m/s; √(v² + SMOOTHING²) has a gradient at rest
 
 
@@ -68,6 +69,17 @@ class ConstraintSet(ABC):
     def excess(self, values: Array) -> Array:
         """Return by how much values (k, N) exceed the limits, in their units; negative inside."""
         return np.maximum(values - self.upper[:, None], self.lower[:, None] - values)
+
+    def largest_excess(self, motion: MotionSamples) -> tuple[Array, Array]:
+        """Return the largest excess of every quantity along a motion (k,), and when (k,), s."""
+        worst, when = np.full(len(self.labels), -np.inf), np.zeros(len(self.labels))
+        for first in range(0, len(motion), CHUNK):
+            part = motion.at(slice(first, first + CHUNK))
+            excess = self.excess(self.values(part))
+            k = np.argmax(excess, axis=1)
+            here = excess[np.arange(len(k)), k]
+            when, worst = np.where(here > worst, part.t[k], when), np.maximum(here, worst)
+        return worst, when
 
 
 class Limit(Protocol):

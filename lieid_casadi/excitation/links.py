@@ -16,7 +16,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.urdf import captured
+from lieid_casadi.robot.urdf import silenced
 from lieid_casadi.robot.yaml_text import FARTHEST, Field
 
 SKELETON_RADIUS = 0.06  # of the arm's length, where there is no geometry
@@ -106,8 +106,6 @@ def arm_length(robot: Robot) -> float:
 
 def _bundled(robot: Robot) -> tuple[Capsule, ...]:
     """Return bundled capsules, for robots with the link frames of a bundled robot."""
-    if robot.has_symbols:
-        return ()
     frames = np.array([joint.home for joint in robot.joints])
     for file, names in BUNDLED.items():
         for name in names:
@@ -171,7 +169,7 @@ class _UrdfModel:
                 joint.set("type", "revolute")
             ElementTree.SubElement(joint, "limit", WIDE)
         try:
-            with captured():
+            with silenced():
                 full = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
         except (ValueError, RuntimeError):
             return None
@@ -217,7 +215,7 @@ def collision_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
             unknown += [name] if link.find("visual") is not None else []
             continue
         try:
-            with captured():
+            with silenced():
                 every = pin.buildGeomFromUrdfString(
                     model.full, _with_shapes_of(model.root, name), pin.GeometryType.COLLISION,
                     None, _package_folders(),

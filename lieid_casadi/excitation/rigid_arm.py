@@ -14,6 +14,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.excitation.links import Capsule, Shape, arm_length
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.robot import Robot
+from lieid_casadi.robot.pinocchio_model import build_pinocchio, point_on_axis
 
 CHANGE = (1e-3, 1e-3, 1e-2)  # of q, dq, ddq (SI), below which samples of a motion are the same
 MANY_POINTS = 60  # of a shape; more are reduced to those on their hull
@@ -27,27 +28,10 @@ class RigidArm:
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot, self.model = robot, pin.Model()
-        self.model.gravity = pin.Motion(np.asarray(robot.gravity, dtype=float), np.zeros(3))
-        parent, parent_home = 0, pin.SE3.Identity()
-        offsets = [np.zeros(3)]
-        for joint in robot.joints:
-            turning, moving = np.split(np.asarray(joint.axis, dtype=float), 2)
-            to_axis = np.cross(turning, moving)
-            rotation, origin = joint.home[:3, :3], joint.home[:3, 3]
-            home = pin.SE3(rotation, rotation @ to_axis + origin)
-            kind = (
-                pin.JointModelRevoluteUnaligned(turning)
-                if joint.revolute
-                else pin.JointModelPrismaticUnaligned(moving)
-            )
-            parent = self.model.addJoint(parent, kind, parent_home.actInv(home), joint.name)
-            offsets.append(-to_axis)
-            if joint.link is not None:
-                inertia = pin.Inertia.FromDynamicParameters(np.asarray(joint.link))
-                self.model.appendBodyToJoint(parent, inertia, pin.SE3(np.eye(3), -to_axis))
-            parent_home = home
-        self.offsets, self.data = np.array(offsets), self.model.createData()
+        links = [np.zeros(10) if joint.link is None else joint.link for joint in robot.joints]
+        self.robot, self.model = robot, build_pinocchio(robot, np.concatenate(links))
+        self.offsets = np.array([np.zeros(3), *(-point_on_axis(j.axis) for j in robot.joints)])
+        self.data = self.model.createData()
 
     def frames(self, pose: Array) -> Array:
         """Return the link frames (n + 1, 4, 4), the base first, in a pose (n,)."""

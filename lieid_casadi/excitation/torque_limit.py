@@ -35,16 +35,14 @@ REMEDY = "a longer duration, lower acceleration limits or another start pose"
 class Torque:
     """Torque of the drives within ``fraction`` of the robot's torque limits.
 
-    For a fit it is the torque of the identified links and of all effects, plus or minus
-    ``deviations`` standard deviations. For a model without a fit it is the rigid torque of the
+    For a fit it is the torque of the identified links and of all effects, plus or minus two
+    standard deviations. For a model without a fit it is the rigid torque of the
     stated inertias, with an allowance for friction in parts of the torque limit.
 
     Attributes
     ----------
     fraction : float
         Of the torque limits.
-    deviations : float
-        Standard deviations of a fit's torque that are added.
     dry, viscous : float
         Allowance without a fit: friction at any speed, and the part in proportion to the speed
         that it reaches at the velocity limit, of the torque limit. The UR10e's friction is 0.06
@@ -52,7 +50,6 @@ class Torque:
     """
 
     fraction: float = 1.0
-    deviations: float = DEVIATIONS
     dry: float = DRY_FRICTION
     viscous: float = VISCOUS_FRICTION
 
@@ -118,10 +115,10 @@ class FittedTorqueSet(ConstraintSet):
 
     def __init__(self, limit: Torque, fit: FittedArm, limited: list[int]) -> None:
         robot = fit.model.robot
-        self._deviations, self._root = limit.deviations, fit.covariance_root
+        self._root = fit.covariance_root
         self.title = (
             f"torque within {limit.fraction:g} of its limits, by the fit with all effects, "
-            f"± {limit.deviations:g} standard deviations"
+            f"± {DEVIATIONS:g} standard deviations"
         )
         self.left_out = _without_limit(robot, limited)
         symbols = Motion.symbols(robot.n)
@@ -186,8 +183,8 @@ class FittedTorqueSet(ConstraintSet):
         spread = np.einsum("kpn,pr->krn", columns[:, 1:], self._root, optimize=True)
         deviation = np.sqrt((spread**2).sum(axis=1) + LEAST_DEVIATION**2)
         seeds = np.einsum("krn,pr->kpn", spread / deviation[:, None], self._root, optimize=True)
-        margin = self._deviations * deviation
-        return columns[:, 0] + margin, columns[:, 0] - margin, self._deviations * seeds
+        margin = DEVIATIONS * deviation
+        return columns[:, 0] + margin, columns[:, 0] - margin, DEVIATIONS * seeds
 
     def _slopes_of(self, motion: MotionSamples, shift: float, seeds: Array) -> Array:
         """Return ∂(column 0 + seeds · other columns)/∂(q, dq, ddq) (k, 3 n, N)."""

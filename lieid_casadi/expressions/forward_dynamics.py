@@ -91,7 +91,7 @@ def obstacle(torque: TorqueExpressions, *, remedy: str) -> str:
     ``torque``: with numbers as values; symbols are not tried; ``remedy``: what to do about a mass
     matrix that is not positive definite.
     """
-    if not torque.values.numeric or torque.model.robot.symbols:
+    if not torque.values.numeric:
         return ""
     share = indefinite_share(torque)
     if share > 0.0:

@@ -11,7 +11,7 @@ import numpy as np
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion, Pose
 from lieid_casadi.errors import ModelError
-from lieid_casadi.expressions.torque import geometry_inputs, named_function
+from lieid_casadi.expressions.torque import named_function
 from lieid_casadi.robot.robot import Robot
 
 
@@ -19,22 +19,18 @@ from lieid_casadi.robot.robot import Robot
 class Frame:
     """A frame that moves with the arm of n ``joints``.
 
-    ``robot`` is the arm up to the link that carries the frame, and its tool is the frame;
-    ``symbols`` of the geometry of the whole arm are further inputs.
+    ``robot`` is the arm up to the link that carries the frame, and its tool is the frame.
     """
 
     robot: Robot
     joints: int
-    symbols: dict[str, ca.SX]
 
     @cached_property
     def forward_kinematics(self) -> ca.Function:
         """``q -> T`` (4, 4): homogeneous pose of the frame in the base frame."""
         q = ca.SX.sym("q", self.joints)
         pose = recursion.tool_in_base(self.robot, Motion.of(q[: self.robot.n]))
-        return named_function(
-            "forward_kinematics", {"q": q} | self.symbols, {"T": homogeneous(pose)}
-        )
+        return named_function("forward_kinematics", {"q": q}, {"T": homogeneous(pose)})
 
     @cached_property
     def jacobian(self) -> ca.Function:
@@ -43,7 +39,7 @@ class Frame:
         moving = closed_form.jacobian(self.robot, Motion.of(q[: self.robot.n]))
         still = ca.SX(6, self.joints - self.robot.n)
         matrix = ca.horzcat(moving, still)
-        return named_function("jacobian", {"q": q} | self.symbols, {"J": matrix})
+        return named_function("jacobian", {"q": q}, {"J": matrix})
 
 
 def frame_of(robot: Robot, name: str) -> Frame:
@@ -52,13 +48,12 @@ def frame_of(robot: Robot, name: str) -> Frame:
     ``name``: ``tool``, ``link1`` … ``linkn``, or the name of a joint or of its link.
     Raises `ModelError` if no frame has that name.
     """
-    symbols = geometry_inputs(robot)
     if name == "tool":
-        return Frame(robot, robot.n, symbols)
+        return Frame(robot, robot.n)
     for i, joint in enumerate(robot.joints):
         if name in (f"link{i + 1}", joint.name, joint.link_name):
             part = replace(robot, joints=robot.joints[: i + 1], tool=np.eye(4), source=None)
-            return Frame(part, robot.n, symbols)
+            return Frame(part, robot.n)
     names = [joint.link_name or joint.name for joint in robot.joints]
     raise ModelError(
         f"robot {robot.name!r} has no frame {name!r}; expected tool, link1 … link{robot.n}, "

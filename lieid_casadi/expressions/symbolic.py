@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Protocol
 
 import casadi as ca
@@ -13,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.dynamics.lie import constant
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions import forward_dynamics
@@ -22,7 +19,6 @@ from lieid_casadi.expressions.torque import (
     FreeGroup,
     TorqueExpressions,
     Values,
-    geometry_inputs,
     named_function,
 )
 from lieid_casadi.model import Model
@@ -48,8 +44,6 @@ class SymbolicDynamics:
         Link parameters (10 n,), coefficients (m,) and shape parameters (s,) of a model.
     groups of parameters
         Those of ``free``, such as ``friction_3`` for ``friction:3``.
-    symbols of the geometry
-        By their names, if the robot has some (`Robot.from_screws`).
 
     The parts add up: ``tau = M·ddq + C·dq + gravity + friction``. Armature belongs to M; effects on
     the whole arm (payload, tilt, wrench) belong to M, C and gravity; friction holds all effects of
@@ -74,17 +68,14 @@ class SymbolicDynamics:
         return dict(self._torque.values.free)
 
     def _function(
-        self, name: str, leading: Sequence[str], outputs: dict[str, ca.SX], *,
-        constant: bool = False,
-    ) -> ca.Function:  # fmt: skip
+        self, name: str, leading: Sequence[str], outputs: dict[str, ca.SX]
+    ) -> ca.Function:
         """Return a function of the named leading inputs and of those that the model adds."""
         symbols = self._torque.leading_symbols
         inputs = {key: symbols[key] for key in leading}
-        if constant:
-            inputs |= geometry_inputs(self.model.robot)
-        else:
-            inputs |= self._torque.further_inputs(static="dq" not in leading)
-        return named_function(name, inputs, outputs)
+        return named_function(
+            name, inputs | self._torque.further_inputs(static="dq" not in leading), outputs
+        )
 
     @cached_property
     def inverse_dynamics(self) -> ca.Function:
@@ -131,8 +122,9 @@ class SymbolicDynamics:
     @cached_property
     def regressor(self) -> ca.Function:
         """``(q, dq, ddq) -> Y`` (n, 10 n): rigid torque per link parameter (Eq. 12)."""
-        matrix = regressor(self.model.robot, self._torque.motion)
-        return self._function("regressor", ["q", "dq", "ddq"], {"Y": matrix}, constant=True)
+        m = self._torque.motion
+        matrix = regressor(self.model.robot, m)
+        return named_function("regressor", {"q": m.q, "dq": m.dq, "ddq": m.ddq}, {"Y": matrix})
 
     @cached_property
     def base_regressor(self) -> ca.Function:
@@ -141,17 +133,6 @@ class SymbolicDynamics:
         load = ca.which_depends(matrix, self._torque.load, 1, True)
         leading = ["q", "dq", "ddq", *(["load"] if any(load) else [])]
         return self._function("base_regressor", leading, {"Yb": matrix})
-
-    @cached_property
-    def base_matrix(self) -> ca.Function:
-        """``-> B`` (p, 10 n + m): base parameters are B·[link parameters; effect coefficients].
-
-        It depends on the symbols of the geometry alone; ``model.base.expression(k)`` is row k as
-        text, such as ``mcx3 + d4 (m4 + m5)``.
-        """
-        base, inputs = self.model.base, geometry_inputs(self.model.robot)
-        matrix = constant(base.at(inputs))
-        return named_function("base_matrix", inputs, {"B": matrix})
 
     @cached_property
     def forward_kinematics(self) -> ca.Function:
@@ -251,36 +232,9 @@ class SymbolicDynamics:
         """
         return forward_dynamics.implicit(self._torque)
 
-    def save(self, path: str | Path) -> None:
-        """Write the functions into one file in CasADi's own format.
-
-        Parameters
-        ----------
-        path : str or Path
-            ``arm.casadi``: ``ca.FileDeserializer("arm.casadi").unpack()`` returns them one by one,
-            in the order of `names`.
-
-        Raises
-        ------
-        ModelError
-            If the name ends otherwise.
-        """
-        from lieid_casadi.atomic_file import atomic_binary
-
-        if Path(path).suffix != ".casadi":
-            raise ModelError(f"{path}: expected a name that ends in .casadi")
-        with tempfile.TemporaryDirectory() as scratch:
-            made = Path(scratch) / "functions.casadi"
-            serializer = ca.FileSerializer(str(made))
-            for name in self.names:
-                serializer.pack(getattr(self, name))
-            del serializer  # closes the file
-            with atomic_binary(path) as file:
-                file.write(made.read_bytes())
-
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the functions that `save` writes, in order."""
+        """Names of the functions."""
         return (
             "inverse_dynamics", "forward_dynamics", "forward_dynamics_derivatives", "mass_matrix",
             "coriolis", "gravity", "friction", "regressor", "base_regressor",
@@ -311,7 +265,7 @@ class SymbolicDynamics:
     def __getstate__(self) -> None:
         raise ModelError(
             "symbolic dynamics cannot be pickled; pickle the fit and call lieid.symbolic again, or "
-            "use save('arm.casadi')"
+            "save a function, such as inverse_dynamics.save('arm.casadi')"
         )
 
 

@@ -14,19 +14,13 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics import closed_form, recursion
-from lieid_casadi.dynamics.lie import Motion, constant, tool_pose
+from lieid_casadi.dynamics.lie import Motion, tool_pose
 from lieid_casadi.dynamics.regressor import regressor
-from lieid_casadi.effects import ArmEffect
+from lieid_casadi.effects import ArmEffect, InstantModel
 from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.model import Model
-from lieid_casadi.robot.robot import Robot
-
-INPUT_NAMES = (
-    "q", "dq", "ddq", "tau", "load", "states", "temperature", "time", "payload", "parameters",
-    "effects", "shapes", "x", "xdot", "u",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,20 +133,6 @@ def _members(model: Model, group: str) -> list[int]:
     raise ModelError(f"free: the model has no parameters {group!r}; {hint}")
 
 
-def geometry_inputs(robot: Robot) -> dict[str, ca.SX]:
-    """Return the symbols of a robot's geometry by name.
-
-    Raises `ModelError`: a symbol has the name of an input of the functions.
-    """
-    clash = [str(symbol) for symbol in robot.symbols if str(symbol) in INPUT_NAMES]
-    if clash:
-        raise ModelError(
-            f"robot {robot.name!r}: the symbol {clash[0]!r} has the name of an input of the "
-            "functions; expected another name"
-        )
-    return {str(symbol): symbol for symbol in robot.symbols}
-
-
 def named_function(
     name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.SX], **options: Any
 ) -> ca.Function:
@@ -164,51 +144,8 @@ def named_function(
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class ArmInstant:
-    """A model at one instant; implements `lieid_casadi.effects.arm_effect.InstantModel`.
-
-    ``links`` (10 n,): link parameters; ``load``, ``torque`` (n,): rigid torque, and rigid torque
-    with all effects on single joints, N·m.
-    """
-
-    robot: Robot
-    motion: Motion
-    links: ca.SX
-    load: ca.SX
-    torque: ca.SX
-
-    @property
-    def gravity(self) -> ca.SX:
-        """Gravity (3,) in the base frame, m/s²."""
-        return ca.densify(constant(self.robot.gravity))
-
-    def rigid_beside(self, offset: ca.SX) -> ca.SX:
-        """Return the rigid torque (n,) at q + offset (n,), by the addition theorem."""
-        m, sin, cos = self.motion, ca.sin(offset), ca.cos(offset)
-        moved = Motion(
-            m.q + offset, m.sin * cos + m.cos * sin, m.cos * cos - m.sin * sin, m.dq, m.ddq
-        )
-        return recursion.inverse_dynamics(self.robot, moved, self.links)
-
-    def gravity_torque(self, gravity: ca.SX) -> ca.SX:
-        """Return the torque (n,) at rest in another gravity (3,), m/s²."""
-        return closed_form.gravity(self.robot, self.motion, self.links, gravity=gravity)
-
-    def jacobian(self) -> ca.SX:
-        """Return the tool's Jacobian (6, n), [ω; v], base axes."""
-        return closed_form.jacobian(self.robot, self.motion)
-
-    def tool_regressor(self) -> ca.SX:
-        """Return the rigid torque (n, 10) per link parameter of a body in the tool frame."""
-        body = ca.SX.sym("body", 10)
-        at_link = closed_form.seen_from_parent(tool_pose(self.robot), body)
-        last = regressor(self.robot, self.motion)[:, -10:]
-        return ca.mtimes(last, ca.jacobian(at_link, body))
-
-
 def arm_effect_columns(
-    model: Model, arm: ArmInstant, coefficients: ca.SX, *, measurement: bool
+    model: Model, arm: InstantModel, coefficients: ca.SX, *, measurement: bool
 ) -> ca.SX:
     """Return the columns (n, m) of effects on the whole arm or on the measurement; others are zero.
 
@@ -284,7 +221,7 @@ class TorqueExpressions:
         inputs = {} if static else dict(self._signal_inputs)
         if self.payload is not None:
             inputs["payload"] = self.payload
-        return inputs | self.values.inputs | geometry_inputs(self.model.robot)
+        return inputs | self.values.inputs
 
     @cached_property
     def _signal_inputs(self) -> dict[str, ca.SX]:
@@ -339,9 +276,9 @@ class TorqueExpressions:
         return ca.densify(ca.mtimes(self.joint_columns, self.values.effects))
 
     @cached_property
-    def _instant(self) -> ArmInstant:
+    def _instant(self) -> InstantModel:
         torque = self.load + self.joint_torque
-        return ArmInstant(self.model.robot, self.motion, self.links, self.load, torque)
+        return InstantModel(self.model.robot, self.motion, self.links, self.load, torque)
 
     @cached_property
     def arm_columns(self) -> ca.SX:

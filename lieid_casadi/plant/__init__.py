@@ -35,7 +35,6 @@ from lieid_casadi.plant.effects import (
 )
 from lieid_casadi.plant.ideal_tracking import TrueMotion, move_along
 from lieid_casadi.plant.position_control import PositionDrive, simulate_commands
-from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.plant.sensors import Sensors, measure, measure_along
 from lieid_casadi.plant.simulate import move, simulate
 from lieid_casadi.plant.trajectories import (
@@ -45,6 +44,7 @@ from lieid_casadi.plant.trajectories import (
     sweep,
     torque_scale,
 )
+from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 __all__ = [
     "HIDDEN_EFFECT_NAMES", "Arm", "Armature", "BaseTilt", "BiasDrift", "EncoderOffset",

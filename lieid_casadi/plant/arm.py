@@ -18,9 +18,9 @@ from lieid_casadi.plant.effects import (
     JointElasticity,
     Payload,
 )
-from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.inertia import body_inertia, link_parameters
+from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 E = TypeVar("E", bound=HiddenEffect)
 

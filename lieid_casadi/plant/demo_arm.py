@@ -11,10 +11,10 @@ from lieid_casadi.errors import EffectError
 from lieid_casadi.plant import effects
 from lieid_casadi.plant.arm import Arm, JointFriction, Thermal, perturbed_inertias
 from lieid_casadi.plant.effects import HiddenEffect
-from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.plant.sensors import Sensors
 from lieid_casadi.plant.trajectories import Envelope, torque_scale
 from lieid_casadi.robot import Robot
+from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 TEMPERATURE_RISE = 12.0  # °C, of demo arms with a temperature effect
 

@@ -12,11 +12,12 @@ from lieid_casadi.errors import EffectError
 from lieid_casadi.plant.arm import Arm
 from lieid_casadi.plant.effects import EncoderOffset
 from lieid_casadi.plant.ideal_tracking import TrueMotion
-from lieid_casadi.plant.rigid import build_pinocchio, rigid_torques
+from lieid_casadi.plant.rigid import rigid_torques
 from lieid_casadi.plant.sensors import Sensors, measure
 from lieid_casadi.plant.stepper import DriveCommand, Stepper, motion_of
 from lieid_casadi.plant.trajectories import ReferenceTrajectory, torque_scale
 from lieid_casadi.recording import Recording
+from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 Progress = Callable[[float], None]
 

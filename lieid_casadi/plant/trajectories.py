@@ -12,8 +12,8 @@ from scipy.interpolate import BPoly
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
-from lieid_casadi.plant.rigid import build_pinocchio
 from lieid_casadi.robot import Robot
+from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 DEFAULT_ACCELERATION = 5.0  # rad/s² (m/s²) where the robot states no limit
 DEFAULT_VELOCITY = {True: 2.0, False: 0.5}  # rad/s revolute, m/s sliding

@@ -8,12 +8,12 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import require_regular
 from lieid_casadi.errors import LieidWarning, RobotError
 from lieid_casadi.robot.drive import Drive
-from lieid_casadi.robot.geometry import Geometry, expressions, geometry
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s²
 NOT_STATED = float("nan")
@@ -38,7 +38,7 @@ class Joint:
     Attributes
     ----------
     screw : (6,)
-        Unit twist [ω; v] in the base frame at the zero pose. Screw and home may have SX entries.
+        Unit twist [ω; v] in the base frame at the zero pose; ω = 0: prismatic.
     home : (4, 4)
         Pose of the link frame in the base frame at the zero pose.
     link : (10,) or None
@@ -50,31 +50,37 @@ class Joint:
     """
 
     name: str
-    screw: Geometry
-    home: Geometry
+    screw: Array
+    home: Array
     limits: Limits = Limits()
-    link: NDArray[np.float64] | None = None
+    link: Array | None = None
     link_name: str = ""
     torque_constant: float = NOT_STATED
     drive: Drive | None = None
 
     def __post_init__(self) -> None:
         for name, shape in (("screw", (6,)), ("home", (4, 4))):
-            value = geometry(getattr(self, name), shape, f"joint {self.name!r}: {name}")
+            value = _array(getattr(self, name), shape, f"joint {self.name!r}: {name}")
             object.__setattr__(self, name, value)
 
     @property
     def revolute(self) -> bool:
         """Whether the joint rotates; otherwise it is prismatic."""
-        omega = self.screw[:3]
-        return bool(expressions(omega)) or bool(np.linalg.norm(omega.astype(float)) > 0.5)
+        return bool(np.linalg.norm(self.screw[:3]) > 0.5)
 
     @cached_property
-    def axis(self) -> Geometry:
+    def axis(self) -> Array:
         """Unit twist (6,) in the link frame: ξ = Ad(home⁻¹)·screw."""
         rotation, origin = self.home[:3, :3], self.home[:3, 3]
         omega, v = self.screw[:3], self.screw[3:]
         return np.concatenate([rotation.T @ omega, rotation.T @ (v - np.cross(origin, omega))])
+
+
+def _array(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
+    array = np.asarray(values, dtype=float)
+    if array.shape != shape:
+        raise RobotError(f"{what}: numbers of shape {array.shape}; expected {shape}")
+    return array
 
 
 @dataclass(frozen=True)
@@ -100,15 +106,15 @@ class RobotDescription:
 
     name: str
     joints: tuple[Joint, ...]
-    gravity: Geometry = field(default_factory=lambda: np.array(STANDARD_GRAVITY))
-    tool: Geometry = field(default_factory=lambda: np.eye(4))
+    gravity: Array = field(default_factory=lambda: np.array(STANDARD_GRAVITY))
+    tool: Array = field(default_factory=lambda: np.eye(4))
     source: RobotSource | None = None
     warnings: tuple[LieidWarning, ...] = ()
     tool_name: str = "tool"
 
     def __post_init__(self) -> None:
         for name, shape in (("gravity", (3,)), ("tool", (4, 4))):
-            value = geometry(getattr(self, name), shape, f"robot {self.name!r}: {name}")
+            value = _array(getattr(self, name), shape, f"robot {self.name!r}: {name}")
             object.__setattr__(self, name, value)
 
 

@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.errors import RobotError
-from lieid_casadi.robot.description import (
-    BUNDLED,
-    Limits,
-    RobotDescription,
-    bundled_text,
-    read_text,
-)
+from lieid_casadi.robot.description import BUNDLED, RobotDescription, bundled_text, read_text
 from lieid_casadi.robot.drive import Drive
-from lieid_casadi.robot.geometry import expressions
 from lieid_casadi.robot.mjcf import read_mjcf
-from lieid_casadi.robot.screws import arm_of_screws, at_values, symbols_of
 from lieid_casadi.robot.urdf import read_urdf
 from lieid_casadi.robot.yaml_file import read_yaml
 
@@ -33,8 +24,6 @@ logger = logging.getLogger("lieid_casadi")
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot(RobotDescription):
     """A serial chain of revolute and prismatic joints.
-
-    Screws, home poses, tool and gravity are numbers, or contain CasADi symbols (`from_screws`).
 
     Attributes
     ----------
@@ -92,67 +81,6 @@ class Robot(RobotDescription):
         return cls.parse_yaml(read_text(path), origin=str(path))
 
     @classmethod
-    def from_screws(
-        cls,
-        screws: Sequence[Any],
-        homes: Sequence[Any],
-        *,
-        links: Sequence[Any] | None = None,
-        tool: Any = None,
-        gravity: Any = None,
-        limits: Sequence[Limits] | None = None,
-        joint_names: Sequence[str] | None = None,
-        name: str = "robot",
-    ) -> Robot:
-        """Return the robot of given screws, whose geometry may contain CasADi symbols.
-
-        Screws, homes, tool and gravity take numbers or SX. `lieid_casadi.symbolic` returns
-        functions with the symbols as further inputs, by their names.
-
-        Parameters
-        ----------
-        screws : n of (6,)
-            Unit twist [ω; v] of each joint in the base frame at the zero pose; ω = 0: prismatic.
-        homes : n of (4, 4) or of {"xyz": (3,), "rpy": (3,)}
-            Link frames in the base frame at the zero pose, m and rad.
-        links : n of (10,), optional
-            Link parameters, SI. Without them, ``lieid.symbolic(lieid.Model(robot))`` has them as
-            an input.
-        tool : (4, 4) or {"xyz": (3,), "rpy": (3,)}, optional
-            Tool in the last link's frame; the identity if left out.
-        gravity : (3,), optional
-            In the base frame, m/s²; (0, 0, −9.81) if left out.
-        limits : n of Limits, optional
-        joint_names : n of str, optional
-            Unique names; ``joint1`` … if left out.
-        name : str
-            Of the robot.
-
-        Raises
-        ------
-        RobotError
-            A shape is wrong, a screw is no unit twist of zero pitch or a home no rigid pose (tried
-            at random values of the symbols), two symbols or two joints have one name.
-
-        Examples
-        --------
-        >>> import casadi as ca
-        >>> a = ca.SX.sym("a")
-        >>> arm = Robot.from_screws(
-        ...     [[0, 0, 1, 0, 0, 0], [0, 0, 1, 0, -a, 0]],
-        ...     [{"xyz": [0, 0, 0]}, {"xyz": [a, 0, 0]}],
-        ... )
-        >>> [str(symbol) for symbol in arm.symbols]
-        ['a']
-        """
-        return cls._of(
-            arm_of_screws(
-                screws, homes, links=links, tool=tool, gravity=gravity, limits=limits,
-                joint_names=joint_names, name=name,
-            )
-        )  # fmt: skip
-
-    @classmethod
     def parse_urdf(
         cls,
         text: str,
@@ -182,36 +110,6 @@ class Robot(RobotDescription):
     def n(self) -> int:
         """Number of joints."""
         return len(self.joints)
-
-    @cached_property
-    def has_symbols(self) -> bool:
-        """Whether the geometry has entries that are not numbers."""
-        arrays = [a for joint in self.joints for a in (joint.screw, joint.home)]
-        return any(expressions(a) for a in (*arrays, self.tool, self.gravity))
-
-    @cached_property
-    def symbols(self) -> tuple[Any, ...]:
-        """The scalar SX symbols in screws, homes, tool and gravity; empty for numbers."""
-        return symbols_of(self)
-
-    def with_values(self, values: Mapping[str, float]) -> Robot:
-        """Return the robot with numbers in place of all symbols, given by their names.
-
-        Raises
-        ------
-        RobotError
-            A symbol has no value, or a name is none of a symbol.
-        """
-        return self._of(at_values(self, values))
-
-    def require_numbers(self, what: str) -> None:
-        """Raise `RobotError` if the geometry has symbols; ``what`` needs numbers."""
-        if self.symbols:
-            names = ", ".join(str(symbol) for symbol in self.symbols)
-            raise RobotError(
-                f"{what} needs numbers, and robot {self.name!r} has the symbols {names}; "
-                "expected robot.with_values({name: value, …}), or lieid.symbolic(robot)"
-            )
 
     @property
     def links_without_inertia(self) -> tuple[str, ...]:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from threading import Lock
-from typing import Any, BinaryIO
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,6 +19,7 @@ from lieid_casadi.errors import (
     NominalInertiaWarning,
     RobotError,
 )
+from lieid_casadi.messages import reason_of
 from lieid_casadi.robot.description import MOST_JOINTS, Joint, RobotDescription, RobotSource
 from lieid_casadi.robot.inertia import impossible_moments
 from lieid_casadi.robot.urdf_elements import INERTIA, UrdfJoint, UrdfLink, read_elements
@@ -106,12 +105,11 @@ def _reduced_model(
     import pinocchio as pin
 
     numbers = {link.name: k for k, link in enumerate(links)}
-    with captured() as output:
-        try:
+    try:
+        with silenced():
             full = pin.buildModelFromXML(_numbered_urdf(numbers, links, joints))
-        except (ValueError, RuntimeError) as error:
-            reason = " ".join(f"{error} {output.text}".split())[:200]
-            raise RobotError(f"{origin}: Pinocchio cannot read it: {reason}") from None
+    except (ValueError, RuntimeError) as error:
+        raise RobotError(f"{origin}: Pinocchio cannot read it: {reason_of(error)}") from None
     kept = {joint.name for joint in chain}
     locked = [
         full.getJointId(f"joint{k}")
@@ -284,30 +282,19 @@ def tip_link(joints: Sequence[UrdfJoint], chain: Sequence[UrdfJoint], tip: str |
         link = following[0]
 
 
-LONGEST = 100_000  # bytes that are kept
 _lock = Lock()  # the descriptors belong to the process
 
 
-@dataclass
-class NativeOutput:
-    """``text`` holds what was written, once the capture has ended."""
-
-    text: str = ""
-
-
 @contextmanager
-def captured() -> Iterator[NativeOutput]:
-    """Redirect the file descriptors 1 and 2 of the process while a native library works.
+def silenced() -> Iterator[None]:
+    """Discard what a native library writes to the file descriptors 1 and 2 of the process.
 
-    Libraries such as urdfdom print their complaints there, past Python's ``sys.stderr``. Where no
-    temporary file can be made they are discarded.
+    Libraries such as urdfdom print their complaints there, past Python's ``sys.stderr``.
     """
-    output = NativeOutput()
-    with _lock, _temporary_file() as file, ExitStack() as restore:
+    with _lock, open(os.devnull, "wb") as nowhere, ExitStack() as restore:
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:
                 stream.flush()
-        restore.callback(_read, file, output)
         for descriptor in (1, 2):
             try:
                 copy = os.dup(descriptor)
@@ -315,17 +302,5 @@ def captured() -> Iterator[NativeOutput]:
                 continue
             restore.callback(os.close, copy)
             restore.callback(os.dup2, copy, descriptor)
-            os.dup2(file.fileno(), descriptor)
-        yield output
-
-
-def _temporary_file() -> BinaryIO:
-    try:
-        return tempfile.TemporaryFile()
-    except OSError:
-        return open(os.devnull, "r+b")
-
-
-def _read(file: BinaryIO, output: NativeOutput) -> None:
-    file.seek(0)
-    output.text = file.read(LONGEST).decode("utf-8", errors="replace")
+            os.dup2(nowhere.fileno(), descriptor)
+        yield

@@ -38,7 +38,7 @@ KINDS = {
     "Friction": (
         "coulomb", "viscous", "offset", "stribeck", "load_friction", "presliding",
         "position_friction", "temperature_friction", "warm_up", "viscous_polynomial",
-        "viscous_asymmetric", "sigmoid_friction",
+        "viscous_asymmetric",
     ),
     "Transmission": (
         "armature", "transmission_coupling", "joint_elasticity", "torque_ripple", "backlash",

@@ -17,7 +17,7 @@ import pinocchio as pin
 
 import lieid_casadi as lieid
 from lieid_casadi.excitation import SelfCollision, Torque, capsules_of, default_limits
-from lieid_casadi.plant.rigid import build_pinocchio
+from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "recordings"
 EFFECTS = ["coulomb", "viscous", "offset"]

@@ -9,7 +9,7 @@ import time
 import numpy as np
 from scipy.optimize import minimize
 
-from lieid_casadi.plant.rigid import build_pinocchio
+from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 
 class Peer:

@@ -40,7 +40,7 @@ from lieid_casadi.workbench.session import (
 KINDS = (
     "load_friction", "stribeck", "viscous_polynomial", "presliding", "position_friction",
     "transmission_coupling", "armature", "torque_delay", "viscous_asymmetric", "torque_ripple",
-    "sigmoid_friction", "bias_drift", "torque_gain", "position_spring",
+    "bias_drift", "torque_gain", "position_spring",
     "joint_elasticity", "torque_lowpass",
 )  # fmt: skip
 JOINTS = 6

@@ -58,16 +58,6 @@ def test_the_ten_coefficient_formula_of_the_paper(s):
     np.testing.assert_allclose(total, expected, rtol=1e-12, atol=1e-14)
 
 
-def test_panda_sigmoid_with_published_numbers(s):
-    """Joint 6 of Gaz et al. 2019."""
-    amplitude, steep, shift = 0.30301, 17.133, -0.021047
-    (column,) = evaluate("sigmoid_friction", [steep, shift], **s)
-    printed = amplitude / (1 + np.exp(-steep * (s["dq"] + shift)))
-    printed -= amplitude / (1 + np.exp(-steep * shift))
-    np.testing.assert_allclose(amplitude * column, printed, rtol=1e-12, atol=1e-15)
-    assert np.all(column[s["dq"] == 0.0] == 0.0)
-
-
 @pytest.mark.parametrize("label", sorted(REGISTER))
 def test_values_and_derivatives_are_finite_everywhere(label):
     """At rest, without load, at extremes: columns, states and their Jacobians."""
@@ -103,7 +93,7 @@ def test_values_and_derivatives_are_finite_everywhere(label):
         "coulomb", "viscous", "stribeck", "stribeck/exponent", "stribeck/two_width",
         "viscous_polynomial", "load_friction", "load_friction/paper", "load_friction/motoring",
         "load_friction/square", "load_friction/stribeck", "temperature_friction/exponential",
-        "warm_up", "sigmoid_friction",
+        "warm_up",
     ],
 )  # fmt: skip
 def test_each_column_opposes_motion(label, s):

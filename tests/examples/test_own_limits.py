@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 from lieid_casadi.excitation import capsules_of
-from lieid_casadi.plant.rigid import build_pinocchio
+from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_limits.py"
 

@@ -72,7 +72,7 @@ def test_distances_match_coal():
     found = limits.values(MotionSamples(np.zeros(100), q, 0 * q, 0 * q))
     from excitation.test_excite import distance
 
-    from lieid_casadi.plant.rigid import build_pinocchio
+    from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
     pin_model = build_pinocchio(robot)
     poses = [link_placements(pin_model, x) for x in q]

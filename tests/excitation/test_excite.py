@@ -14,7 +14,7 @@ from lieid_casadi.excitation import (
     floor,
 )
 from lieid_casadi.excitation.links import Capsule
-from lieid_casadi.plant.rigid import build_pinocchio
+from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 PANDA = lieid.robots.panda()
 

@@ -55,6 +55,12 @@ def fit(robot, arm):
     return lieid.identify(model, run(arm, MotionSamples(t, *motion), 3))
 
 
+def certain(fit):
+    """The numbers of a fit without their uncertainty."""
+    numbers = FittedArm.of(fit)
+    return replace(numbers, covariance_root=np.zeros_like(numbers.covariance_root))
+
+
 def test_the_torque_on_the_arm_stays_within_the_limit(robot, arm, fit):
     """Rigid torque within the limit is not enough; the fit's torque with its uncertainty is."""
     options = {
@@ -85,7 +91,7 @@ def test_the_bounds_contain_the_torque_of_the_fit(robot, arm, effects):
     t = np.arange(0.0, 10.0, 0.005)
     along = MotionSamples(t, *plant.FourierTrajectory(robot, base_frequency=0.3, seed=4).at(t))
     other = lieid.identify(lieid.Model(robot, effects), run(arm, along, 4))
-    limits = Torque(deviations=0.0).on(robot, FittedArm.of(other))
+    limits = Torque().on(robot, certain(other))
     rng = np.random.default_rng(2)
     q, dq, ddq = (rng.uniform(-2.0, 2.0, (200, N)) for _ in range(3))
     dq[:100] *= 0.01
@@ -111,7 +117,7 @@ def test_the_bounds_contain_the_torque_of_bristles(robot):
     fit = made_fit(robot, "viscous,presliding/lugre")
     t = np.arange(0.0, 20.0, 5e-4)
     motion = MotionSamples(t, *plant.FourierTrajectory(robot, base_frequency=0.2, seed=4).at(t))
-    limits = Torque(deviations=0.0).on(robot, FittedArm.of(fit))
+    limits = Torque().on(robot, certain(fit))
     largest, smallest = np.split(limits.values(motion), 2)
     torque = torque_of(fit, motion.q, motion.dq, motion.ddq, time=t).T
     assert np.all(torque <= largest + 1e-6)
@@ -124,7 +130,7 @@ def test_two_standard_deviations_of_the_fit_are_added(robot, fit):
     q, dq, ddq = (rng.uniform(0.1, 2.0, (50, N)) for _ in range(3))  # far from reversals
     motion = MotionSamples(np.zeros(50), q, -dq, ddq)
     plain, wide = (
-        Torque(deviations=d).on(robot, FittedArm.of(fit)).values(motion) for d in (0.0, 2.0)
+        Torque().on(robot, numbers).values(motion) for numbers in (certain(fit), FittedArm.of(fit))
     )
     rows = lieid.compile(fit.model).base_regressor(motion.q, motion.dq, motion.ddq)
     expected = 2.0 * np.sqrt(np.einsum("knp,pq,knq->kn", rows, fit.covariance, rows)).T
@@ -157,7 +163,7 @@ def test_the_allowance_for_friction(robot):
     """Rigid torque of Pinocchio, with 0.1 of the limit and 0.4 at the velocity limit."""
     import pinocchio as pin
 
-    from lieid_casadi.plant.rigid import build_pinocchio
+    from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
     model = build_pinocchio(robot)
     data = model.createData()

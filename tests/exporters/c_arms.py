@@ -33,7 +33,7 @@ PANDA = (
     "coulomb,viscous,offset,armature,viscous_polynomial:1,viscous_asymmetric:2,"
     "stribeck:4,stribeck/exponent:5,stribeck/two_width:6,load_friction:2+3,"
     "load_friction/paper:1,load_friction/motoring:5,temperature_friction:1,"
-    "temperature_friction/exponential:3,warm_up:7,position_friction:4,sigmoid_friction:7,"
+    "temperature_friction/exponential:3,warm_up:7,position_friction:4,"
     "transmission_coupling:5<6,smooth/q.dq:2,smooth/q5:4"
 )
 

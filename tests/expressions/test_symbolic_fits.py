@@ -294,19 +294,6 @@ def test_implicit_derivatives_take_fewer_instructions():
     assert arm.forward_dynamics_derivatives.n_instructions() < 0.75 * solution.n_instructions()
 
 
-def test_functions_are_saved(tmp_path):
-    arm = symbolic(lieid.robots.two_link())
-    path = tmp_path / "arm.casadi"
-    arm.save(path)
-    file = ca.FileDeserializer(str(path))
-    loaded = [file.unpack() for _ in arm.names]
-    assert [function.name() for function in loaded] == list(arm.names)
-    q = np.array([0.3, -0.4])
-    np.testing.assert_array_equal(loaded[3](q).full(), arm.mass_matrix(q).full())
-    with pytest.raises(ModelError, match=r"ends in \.casadi"):
-        arm.save(tmp_path / "arm.txt")
-
-
 @pytest.mark.parametrize("width", [0.0, -1.0, np.nan])
 def test_a_smooth_velocity_is_positive(width):
     with pytest.raises(ModelError, match="smooth_velocity"):
