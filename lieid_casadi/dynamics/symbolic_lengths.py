@@ -12,8 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement as combinations_with
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics.base_parameters import BaseParameters
@@ -147,7 +149,9 @@ def symbolic_base(
     return base, tuple(length for length in lengths if length.name in used)
 
 
-def _polynomials(names: Sequence[str], matrix: Callable[[Values], Array], robot: str) -> Array:
+def _polynomials(
+    names: Sequence[str], matrix: Callable[[Values], Array], robot: str
+) -> NDArray[Any]:
     """Return a matrix that depends on lengths as floats and polynomials."""
     random = np.random.default_rng(0)
 
@@ -161,7 +165,8 @@ def _polynomials(names: Sequence[str], matrix: Callable[[Values], Array], robot:
     for index in np.argwhere(np.any(depends, axis=0)):
         own = tuple(x for x, each in zip(names, depends, strict=True) if each[tuple(index)])
         groups.setdefault(own, []).append(tuple(map(int, index)))
-    made, points, samples = first.astype(object), list[Values](), list[Array]()
+    made: NDArray[Any] = first.astype(object)
+    points, samples = list[Values](), list[Array]()
     for own, places in groups.items():
         for degree, below in DEGREES:
             terms = _terms(own, degree, below)

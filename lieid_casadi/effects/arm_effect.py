@@ -13,15 +13,15 @@ from typing import ClassVar, Literal, Protocol
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
-from lieid_casadi import arrays
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion, constant, tool_pose
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.effects.effect import Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.robot import Drive, Robot
 
-Array = arrays.Array  # for the effects
+Array = NDArray[np.float64]
 
 
 class SegmentModel(Protocol):
@@ -36,7 +36,7 @@ class SegmentModel(Protocol):
         """q, dq, ddq (K, n)."""
 
     @property
-    def friction_known(self) -> arrays.Mask:
+    def friction_known(self) -> NDArray[np.bool_]:
         """Whether the friction of each joint is determined (K, n).
 
         At rest it is not, but a prediction takes it for zero there.
