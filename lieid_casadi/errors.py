@@ -209,14 +209,6 @@ class NotDissipativeWarning(LieidWarning):
     """Fitted friction that would drive the joint instead of braking it."""
 
 
-class ExtrapolationWarning(LieidWarning):
-    """A fitted model that diverges outside the measured range."""
-
-
-class LoadMismatchWarning(LieidWarning):
-    """The mean torque of forward and backward motion is not the model's rigid torque."""
-
-
 class JointLimitWarning(LieidWarning):
     """Positions or velocities beyond the robot's own limits."""
 

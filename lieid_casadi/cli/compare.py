@@ -13,8 +13,6 @@ from lieid_casadi.cli.options import command
 def run(args: argparse.Namespace) -> output.Outcome:
     """Compare the torque of a fit with recordings, joint by joint.
 
-    The motion of a simulation of 1 s is compared with the measured one, too.
-
     fit FIT: input  fit to compare
     recordings REC …: input  recordings to compare it with
     --plot FILE: picture  draw measured, predicted and residual torque
@@ -23,23 +21,18 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.comparison import compare
     from lieid_casadi.comparison.comparison import error_table, largest_errors_table, verdict
     from lieid_casadi.report import comparison_report
-    from lieid_casadi.simulation import window_drift
-    from lieid_casadi.simulation.simulate import window_table
 
     fit, recordings = inputs.fit_and_recordings(args)
     premises = premises_of(args, fit, recordings)
     comparison = compare(fit, recordings)
-    drift = window_drift(fit, recordings)
     return output.Outcome(
         (
             verdict(comparison),
             error_table(comparison),
-            window_table(drift),
-            *([f"Not simulated: {drift.reason}."] if drift.reason else []),
             largest_errors_table(comparison),
             *comparison.warnings,
         ),
-        json=comparison.to_dict() | {"simulation": drift.to_dict(), "premises": premises},
-        html=lambda: comparison_report(fit, comparison, drift),
+        json=comparison.to_dict() | {"premises": premises},
+        html=lambda: comparison_report(fit, comparison),
         plot=comparison.plot,
     )

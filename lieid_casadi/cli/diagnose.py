@@ -127,10 +127,16 @@ def _options(args: argparse.Namespace) -> DiagnosisOptions:
 
 def shown(diagnosis: Diagnosis) -> Iterator[str | Table | LieidWarning]:
     """Yield the verdict, the errors of all models, rivals, and rejected candidates."""
-    from lieid_casadi.diagnosis.result import alias_sentence, evidence_table, rejected_table
+    from lieid_casadi.diagnosis.result import (
+        alias_sentence,
+        evidence_table,
+        motion_table,
+        rejected_table,
+    )
 
     yield from diagnosis.sentences
     yield diagnosis.error_table()
+    yield motion_table(diagnosis)
     yield evidence_table(diagnosis)
     if diagnosis.steps:
         yield "lieid effects NAME describes an effect and what it is confused with."

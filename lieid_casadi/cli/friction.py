@@ -24,8 +24,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --joint J: int required  number of the joint, from 1
     --effects A,B,…  friction model: effects of speed and load; default:
         coulomb,viscous,stribeck, and load_friction where the load varies
-    --fit FIT: input  fit of the whole arm, whose rigid torque is used
-    --load {model,measured}  source of the load torque; default: model
+    --fit FIT: input  fit of the whole arm, whose rigid torque is used, also as the load
     --plot FILE: picture  draw the curve and the fit
     @RECORDING
     --cutoff HZ: number  cut-off frequency of the low-pass filter
@@ -45,7 +44,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         inputs.recordings_of(args.recordings, args, robot),
         args.joint - 1,
         processing=Processing(cutoff=args.cutoff),
-        load=args.load,
     )
     fit = fit_friction(curve, args.effects)
     return output.Outcome(

@@ -49,17 +49,12 @@ def shown(gains: DriveGains) -> tuple[str | Table | LieidWarning, ...]:
     """Return the gains, those not identified, and the option for other commands."""
     from lieid_casadi.gains.identify import gain_table
 
-    centre = ", ".join(
-        "not identified" if c != c else f"{1000 * c:.1f} ± {1000 * s:.1f}"
-        for c, s in zip(gains.com, gains.com_std, strict=True)
-    )
     return (
         gain_table(gains),
         *(
             f"  * the gain of joint {part.joint + 1} cannot be identified: {part.reason}."
             for part in gains.not_identified
         ),
-        f"Centre of mass of the payload in the tool frame: ({centre}) mm.",
         *([] if gains.option is None else [f"Option for the other commands:\n{gains.option}"]),
         *gains.warnings,
     )

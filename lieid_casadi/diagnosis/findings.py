@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from lieid_casadi.diagnosis.step import Difference, Step, Unexplained
 from lieid_casadi.effects.registry import REGISTER, make
 
@@ -39,7 +41,7 @@ def finding(steps: Sequence[Step], mode: str) -> str:
         part += f" of joint {first.joint + 1}"
     name = first.label.partition(":")[0]
     text = f"{_statement(steps, mode)} ({name}: {'; '.join(_sizes(steps))}; {part})"
-    text += _rivals(steps) + _selected(steps)
+    text += _rivals(steps) + _selected(steps) + _motion(steps)
     if first.formula:
         text += f"; it is close to {first.formula}"
     unconfirmed = [step for step in steps if step.confirmed is False]
@@ -138,6 +140,19 @@ def _selected(steps: Sequence[Step]) -> str:
     selected, together = step.evidence.selected, step.evidence.selected_with_rivals
     text = f"; without single parts of the data it was selected{where} in {100 * selected:.0f} %"
     return text + (f", it or a rival in {100 * together:.0f} %" if together > selected else "")
+
+
+def _motion(steps: Sequence[Step]) -> str:
+    """Return the errors of the simulated motion without and with a finding's effects."""
+    errors = [
+        [float(np.degrees(x[step.joint])) for x in (step.motion.before, step.motion.after)]
+        for step in steps
+        if step.motion is not None
+    ]
+    if not errors:
+        return ""
+    texts = [f"{number(after)}° in place of {number(before)}°" for before, after in errors]
+    return f"; the simulated motion is {_listed(texts, [a for _, a in errors])} off"
 
 
 def difference_sentence(each: Difference) -> str:

@@ -64,7 +64,7 @@ def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:
     noise = [noise_of(r, run) for r, run in zip(residual, rows.runs, strict=True)]
     lasting = max(redundancy(each) for each in noise)
     correlated = lasting / (RATE_OVER_CUTOFF * rows.segments[0].cutoff)
-    place, near = _places(rows, count)
+    place, near = places(rows, count)
     whole = sum(float(s.filtered_time[-1] - s.filtered_time[0]) for s in rows.segments)
     gap = min(correlated, LARGEST_GAP * whole / count)
     held, out = [], []
@@ -84,7 +84,7 @@ def redundancy(noise: Noise) -> float:
     return max(long_run / noise.spread**2, 1.0)
 
 
-def _places(rows: Rows, count: int) -> tuple[NDArray[np.intp], Array]:
+def places(rows: Rows, count: int) -> tuple[NDArray[np.intp], Array]:
     """Return the part of each instant of the common time line, and its time, s.
 
     Time counts while some joint moves, so that no part is a rest.

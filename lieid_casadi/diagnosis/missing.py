@@ -13,6 +13,7 @@ from lieid_casadi.comparison.compare import compared_segments
 from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis.evidence import Slot
 from lieid_casadi.diagnosis.gates import reason_against
+from lieid_casadi.diagnosis.motion import UnseenMotion
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rivals import represented
@@ -43,7 +44,7 @@ from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import FilteredColumns
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
-from lieid_casadi.simulation import motion_gain
+from lieid_casadi.simulation import MotionGain
 
 Report = Callable[[str, float], None]
 CONTAINED = 0.1  # part of an effect's torque that a smooth function can take over
@@ -93,6 +94,8 @@ class MissingEffects:
         self.refused: set[str] = set()  # their fitted values are implausible
         self.differing: list[Difference] = []
         self.apart: list[list[Array]] = []  # columns of what differs between the recordings
+        self.unseen: UnseenMotion | None = None
+        self.gains: dict[str, MotionGain] = {}  # of the final fit's effects
 
     def diagnosis(self, seed: int) -> Diagnosis:
         """Return the diagnosis."""
@@ -110,6 +113,7 @@ class MissingEffects:
             fit, self.segments, known=self.known, before=rows, with_candidates=False
         )
         steps = _with_formulas(steps_of(final, accepted, torque, after), final, last_rows)
+        steps = tuple(replace(step, motion=self.gains.get(step.label)) for step in steps)
         parts = unexplained_parts(
             fitted,
             after,
@@ -152,6 +156,7 @@ class MissingEffects:
             ),
             train=first.provenance.recordings,
             test=tuple(Source(r.name, r.source_hash) for r in self.tests),
+            motion=self._motion_gain(first, fit),
             limits_reached=("most_steps",) if len(last.slots) >= options.most_steps else (),
             seed=seed,
         )
@@ -167,6 +172,7 @@ class MissingEffects:
             rounds += 1
             fit, accepted = self._plausible([*accepted, *new])
             if rounds >= ROUNDS or not (new or apart):
+                self.unseen = UnseenMotion.of(rows, found.folds)
                 return *self._final(fit, accepted), found
             rows = Rows.of(fit, self.segments, known=self.known, before=rows)
             for columns in self.apart:
@@ -187,13 +193,21 @@ class MissingEffects:
         What differs between the recordings is part of every error; beside it an effect must lower
         the error at all.
         """
+        self.gains = {}
         for found in reversed(accepted):
+            label, others = found.placement.label, [a for a in accepted if a is not found]
             if not found.determined(fit, self.options.gain_deviations):
-                self.rejected[found.placement.label] = "the data do not determine its coefficients"
-                return [a for a in accepted if a is not found]
-            if not self._moves_better(fit, found, accepted):
-                self.rejected[found.placement.label] = "the simulated motion is no better with it"
-                return [a for a in accepted if a is not found]
+                self.rejected[label] = "the data do not determine its coefficients"
+                return others
+            gain = self._motion_gain(self._fitted(others), fit)
+            if gain is not None:
+                if not gain.fall > self.options.gain_deviations * gain.std:
+                    self.rejected[label] = (
+                        "the simulated motion on held-out data is no better with it (its squared "
+                        f"error falls by {100 * gain.fall:.1f} ± {100 * gain.std:.1f} %)"
+                    )
+                    return others
+                self.gains[label] = gain
         model, left = FinalModel.of(fit, self.segments, None), list(accepted)
         while left:
             gone = [a.placement for a in accepted if a not in left]
@@ -207,21 +221,16 @@ class MissingEffects:
             )
         return left
 
-    def _moves_better(self, fit: Fit, found: Accepted, accepted: Sequence[Accepted]) -> bool:
-        """Return whether an arm under commands moves more like the measured one with an effect.
+    def _motion_gain(self, before: Fit, after: Fit) -> MotionGain | None:
+        """Compare the motion that two fits predict on held-out data; None if that cannot be done.
 
-        Of such an arm the motion counts, and its torque is that of a control law, not measured.
-        True for arms that cannot be simulated: without commands, or with masses that are not
-        positive, which method ``feasible`` excludes. The test chooses nothing here either.
+        That is of arms without commands, and with masses that are not positive, which method
+        ``feasible`` excludes.
         """
-        commanded = all(recording.command is not None for recording in self.train)
-        if fit.model.robot.drives is None or not commanded:
-            return True
-        without = self._fitted([a for a in accepted if a is not found])
         try:
-            return motion_gain(without, fit, self.train).fall > 0.0
+            return None if self.unseen is None else self.unseen.gain(before, after)
         except LieidError:
-            return True
+            return None
 
     def _accepted(self, found: Round, accepted: Sequence[Accepted]) -> list[Accepted]:
         """Return the effects of a round that pass; the reasons against the others are kept."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison.comparison import percent
 from lieid_casadi.comparison.noise_floor import SOURCES
@@ -23,6 +25,7 @@ from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import numbers_or_none
+from lieid_casadi.simulation import MotionGain
 from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:
@@ -70,6 +73,9 @@ class Diagnosis:
         Options whose limit ended the search.
     events : tuple of Event
         Stretches that were left out.
+    motion : MotionGain or None
+        Of arms under commands: errors of the simulated motion of the first and the final fit on
+        held-out data.
     """
 
     mode: str
@@ -94,6 +100,7 @@ class Diagnosis:
     limits_reached: tuple[str, ...] = ()
     events: tuple[Event, ...] = ()
     seed: int = 0
+    motion: MotionGain | None = None
 
     @property
     def shown(self) -> tuple[str, list[Array]]:
@@ -156,6 +163,7 @@ class Diagnosis:
             "steps": [step.to_dict() for step in self.steps],
             "unexplained": [part.to_dict() for part in self.unexplained],
             "rejected": [{"effect": label, "reason": why} for label, why in self.rejected],
+            "motion": None if self.motion is None else self.motion.to_dict(),
             "differs_between_recordings": [d.to_dict() for d in self.differing],
             "seed": self.seed,
             "tried": self.tried,
@@ -219,6 +227,7 @@ def evidence_table(d: Diagnosis) -> Table:
         f"{error}, N·m": [_errors(step) for step in steps],
         "falls by": [percent(step.part) for step in steps],
         "on the test by, N·m": [step.fall.test for step in steps],
+        "motion, deg": [_degrees(step) for step in steps],
         "of torque": [percent(step.share) for step in steps],
         "gain / its error": [step.evidence.deviations for step in steps],
         "selected": [percent(step.evidence.selected) for step in steps],
@@ -226,6 +235,8 @@ def evidence_table(d: Diagnosis) -> Table:
     }
     if d.mode == "changed" or not any(step.fall.test is not None for step in steps):
         del columns["on the test by, N·m"]
+    if d.motion is None:
+        del columns["motion, deg"]
     note = (
         "Errors are those of the final model without the effect and with it. Gain: mean fall of "
         "the error of stretches of time that the choice did not see. Selected: in paths without "
@@ -238,6 +249,31 @@ def evidence_table(d: Diagnosis) -> Table:
 def _errors(step: Step) -> str:
     where = "" if step.joints else f" (joint {step.joint + 1})"
     return f"{step.before:.3g} → {step.after:.3g}{where}"
+
+
+def _degrees(step: Step) -> str | None:
+    """Return the error of the simulated motion of the step's joint without and with it."""
+    if step.motion is None:
+        return None
+    before, after = (np.degrees(x[step.joint]) for x in (step.motion.before, step.motion.after))
+    return f"{before:.3g} → {after:.3g}"
+
+
+def motion_table(d: Diagnosis) -> Table:
+    """Return the error of the simulated motion of each joint, deg; empty if there is none."""
+    models = [] if d.motion is None else [("first model", d.motion.before)]
+    if d.motion is not None and d.steps:
+        models.append(("final model", d.motion.after))
+    window = 1.0 if d.motion is None else d.motion.window
+    return make_table(
+        f"RMS error of the simulated motion after {window:.3g} s, deg",
+        ["model", *(f"joint {j + 1}" for j in range(len(d.joint_names))), "all"],
+        [
+            [name, *map(float, np.degrees(x)), float(np.degrees(np.sqrt(np.mean(x**2))))]
+            for name, x in models
+        ],
+        note="Under the recorded commands, from measured states, on windows of held-out data.",
+    )
 
 
 def _rival_text(step: Step) -> str | None:

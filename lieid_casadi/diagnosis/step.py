@@ -9,6 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
+from lieid_casadi.simulation import MotionGain
 
 Status = Literal["named", "one_of", "shape"]
 
@@ -115,6 +116,9 @@ class Step:
         ``rms_train``, ``rms_test``, ``rms_test_moving``, ``rms_cv``: (n,) errors of the model with
         the steps up to this one, N·m; None where they do not exist. Those of the last step are
         the errors of the final fit.
+    motion : MotionGain or None
+        Of arms under commands that can be simulated: errors of the simulated motion on held-out
+        data without the effect and with it.
     """
 
     label: str
@@ -136,6 +140,7 @@ class Step:
     depends_on: tuple[str, ...]
     errors: dict[str, Array | None]
     formula: str = ""
+    motion: MotionGain | None = None
 
     @property
     def part(self) -> float:
@@ -168,6 +173,7 @@ class Step:
                 for r in self.rivals
             ],
             "rival_pairs": [],
+            "motion": None if self.motion is None else self.motion.to_dict(),
             "group": self.group,
             "depends_on": list(self.depends_on),
             "formula": self.formula,

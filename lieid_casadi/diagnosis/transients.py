@@ -56,9 +56,6 @@ BISQUARE = 4.685  # tuning constant of Tukey's bisquare: 95 % efficiency for Gau
 LATEST = 0.1  # s: the longest delay of a torque signal that a diagnosis names
 ROUNDS = 12  # of the reweighted regression
 FEWEST_MOVING = 50  # samples in motion for a scale of their own
-CONSISTENT = 0.9  # of the squared error that a force must explain
-DIMENSIONS = 3  # of a force: with as many joints or fewer, any error is consistent with one
-LEAST_SINGULAR = 0.05  # relative; forces along weaker directions are not determined
 Kind = Literal["contact", "fault", "standstill"]
 
 
@@ -80,8 +77,6 @@ class Event:
         Largest error of these joints, N·m.
     sentence : str
         What was found, where, and with which consequence.
-    force : tuple of float or None
-        Force on the tool (3,), base axes, N, that explains a contact.
     """
 
     kind: Kind
@@ -91,7 +86,6 @@ class Event:
     joints: tuple[int, ...]
     peak: float
     sentence: str
-    force: tuple[float, float, float] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON, with joints from 1."""
@@ -102,7 +96,6 @@ class Event:
             "to": self.end,
             "joints": [joint + 1 for joint in self.joints],
             "peak": self.peak,
-            "force": None if self.force is None else list(self.force),
             "sentence": self.sentence,
         }
 
@@ -111,19 +104,7 @@ def transient_events(
     fit: Fit,
     recordings: Sequence[Recording],
 ) -> tuple[Event, ...]:
-    """Return the transient errors of a fit along recordings.
-
-    Parameters
-    ----------
-    fit : Fit
-    recordings : sequence of Recording
-        With torques.
-
-    Returns
-    -------
-    tuple of Event
-        In the order of the recordings and of time.
-    """
+    """Return the transient errors of a fit along recordings with torques, in the order of time."""
     segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
     signals = [ResidualSignals.of(fit, segment) for segment in segments]
     scale = _scale(signals)
@@ -133,7 +114,7 @@ def transient_events(
         errors = [e for j in range(fit.model.n) for e in _outstanding(own, size, j)]
         events = _together(errors, own.time)
         if sum(e.last - e.first for e in events) <= MOST_TIME * len(own.time):
-            found += [_event(fit, own, scale, event) for event in events]
+            found += [_event(own, scale, event) for event in events]
     return tuple(found)
 
 
@@ -222,39 +203,23 @@ def _together(errors: Sequence[Stretch], time: Array) -> list[Stretch]:
     return joined
 
 
-def _event(
-    fit: Fit,
-    own: ResidualSignals,
-    scale: Array,
-    stretch: Stretch,
-) -> Event:
+def _event(own: ResidualSignals, scale: Array, stretch: Stretch) -> Event:
     rows = slice(stretch.first, stretch.last)
     joints = tuple(int(j) for j in np.flatnonzero((own.excess / scale)[rows].max(axis=0) > LEAST))
     start, end = float(own.time[rows.start]), float(own.time[rows.stop - 1])
     peak = float(np.abs(own.transient[rows][:, joints]).max())
     segment = own.segment
-    kind: Kind = "contact"
-    force = None
-    reason = _fault(own, stretch)
-    if reason:
-        kind = "fault"
-    else:
-        force = tool_force(fit, own, scale, rows) if len(joints) > 1 else None
-        reason = "contact or a collision"
-        if force is not None:
-            x, y, z = force
-            reason += (
-                f", consistent with a force of {np.linalg.norm(force):.3g} N on the tool "
-                f"({x:.3g}, {y:.3g}, {z:.3g} N in the base frame)"
-            )
+    fault = _fault(own, stretch)
+    kind: Kind = "fault" if fault else "contact"
     name = segment.recording.name or "recording"
-    where = joints_text(j in joints for j in range(fit.model.n))
+    where = joints_text(j in joints for j in range(len(scale)))
     sentence = (
         f"{name}, {start:.1f}–{end:.1f} s: error of up to {peak:.3g} N·m on {where} "
-        f"that the motion does not explain: {reason}; this stretch is left out."
+        f"that the motion does not explain: {fault or 'contact or a collision'}; this stretch is "
+        "left out."
     )
     source = Source(name, segment.recording.source_hash)
-    return Event(kind, source, start, end, joints, peak, sentence, force)
+    return Event(kind, source, start, end, joints, peak, sentence)
 
 
 def _fault(own: ResidualSignals, stretch: Stretch) -> str:
@@ -296,8 +261,6 @@ class ResidualSignals:
         Error without what functions of the joint's own motion explain, N·m.
     slack : (M, n)
         Torque that dry friction may add or not, N·m.
-    held : (M, n)
-        Level of dry friction where a joint is held, else 0: it balances part of a force, N·m.
     still : (M, n) bool
         Whether a joint stays in a small range.
     state : (M, n, 3)
@@ -311,7 +274,6 @@ class ResidualSignals:
     error: Array
     transient: Array
     slack: Array
-    held: Array
     still: Mask
     state: Array
     place: Array
@@ -359,7 +321,6 @@ class ResidualSignals:
             error,
             transient,
             np.abs(slack),
-            np.where(still, level, 0.0),
             still,
             state,
             q / np.maximum(np.ptp(q, axis=0), 1e-9),
@@ -401,15 +362,9 @@ def _rests(still: Mask, segment: Processed) -> list[slice]:
 
 
 def _late_torque(segment: Processed, torque: Array) -> Array:
-    """Return filtered columns (M, n, k) of torque that is recorded late or through a filter.
+    """Return filtered columns (M, n, k) of the model's torque (K, n), recorded late or filtered.
 
     A late change of dry friction at every reversal is a short error, but no contact.
-
-    Parameters
-    ----------
-    segment : Processed
-    torque : (K, n)
-        Of the model, N·m.
     """
     count = max(round(2.0 * segment.cutoff * LATEST), 1)
     delays = LATEST * np.arange(1, count + 1) / count
@@ -449,22 +404,10 @@ class Stretch:
     last: int
 
 
-def returns_with_state(
-    own: ResidualSignals,
-    stretch: Stretch,
-    joint: int,
-    inside: Mask,
-) -> bool:
+def returns_with_state(own: ResidualSignals, stretch: Stretch, joint: int, inside: Mask) -> bool:
     """Return whether an error returns with the motion, or cannot be compared with other times.
 
-    Parameters
-    ----------
-    own : ResidualSignals
-    stretch : Stretch
-    joint : int
-        From 0.
-    inside : (M,) bool
-        Rows of all stretches, which are not compared.
+    ``inside`` (M,) are the rows of all stretches, which are not compared.
     """
     same = _Same(own.state[:, joint], SAME_STATE, ~inside, own.transient[:, joint])
     visits = _visits(own, stretch, joint, same)
@@ -473,22 +416,11 @@ def returns_with_state(
     return visits.similar > MOST_SIMILAR * visits.count
 
 
-def returns_with_position(
-    own: ResidualSignals,
-    stretch: Stretch,
-    joint: int,
-) -> bool:
+def returns_with_position(own: ResidualSignals, stretch: Stretch, joint: int) -> bool:
     """Return whether an error returns on most passes through its positions, as at a rough spot.
 
     It has the same sign on all of them, or that of the velocity. A push of a joint that is held
     is none: the joint stays at one position.
-
-    Parameters
-    ----------
-    own : ResidualSignals
-    stretch : Stretch
-    joint : int
-        From 0.
     """
     if own.still[stretch.first : stretch.last, joint].any():
         return False
@@ -503,21 +435,12 @@ def returns_with_position(
 
 @dataclass(frozen=True)
 class _Same:
-    """What passes have in common: signals within a width, and the sign of another one.
+    """What passes have in common: signals within a width, and the sign of another one."""
 
-    Attributes
-    ----------
-    signals : (M, s)
-    width : float
-    allowed : (M,) bool
-        Rows that are compared.
-    signed : (M,)
-    """
-
-    signals: Array
+    signals: Array  # (M, s)
     width: float
-    allowed: Mask
-    signed: Array
+    allowed: Mask  # (M,) rows that are compared
+    signed: Array  # (M,)
 
 
 @dataclass(frozen=True)
@@ -556,36 +479,3 @@ def _visits(
     _, number = np.unique(visit, return_inverse=True)
     returned = np.bincount(number, weights=similar[where]) > 0
     return _Visits(len(returned), int(returned.sum()))
-
-
-def tool_force(
-    fit: Fit, own: ResidualSignals, scale: Array, rows: slice
-) -> tuple[float, float, float] | None:
-    """Return the force on the tool (3,), base axes, N, at the peak of an error; None if none is.
-
-    The drives balance a force f on the tool by the torque −Jᵀ f, less what dry friction of the
-    joints that are held balances.
-
-    Parameters
-    ----------
-    fit : Fit
-    own : ResidualSignals
-    scale : (n,)
-        Standard deviation of each joint's error, N·m.
-    rows : slice
-        Of the error.
-    """
-    if fit.model.n <= DIMENSIONS:
-        return None
-    size = np.max(own.excess[rows] / scale, axis=1)
-    at = rows.start + int(np.argmax(size))
-    q = own.segment.q[own.segment.kept][at]
-    jacobian = fit.compiled.jacobian(q[None])[0, 3:]
-    weight = 1.0 / np.hypot(scale, own.held[at])
-    matrix, target = -(jacobian * weight).T, own.transient[at] * weight
-    force = np.linalg.lstsq(matrix, target, rcond=LEAST_SINGULAR)[0]
-    rest = np.abs(target - matrix @ force) - own.held[at] * weight
-    if np.sum(np.maximum(rest, 0.0) ** 2) > (1.0 - CONSISTENT) * np.sum(target**2):
-        return None
-    x, y, z = map(float, force)
-    return x, y, z

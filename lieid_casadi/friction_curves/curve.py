@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +19,13 @@ from lieid_casadi.compiled import compile
 from lieid_casadi.errors import (
     JointStillWarning,
     LieidWarning,
-    LoadMismatchWarning,
     ModelError,
     RecordingError,
-    RobotError,
     unique_warnings,
     warning_list,
 )
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.recording_checks import Source, check_recordings
-from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.recording.recording import listed
@@ -40,10 +37,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Indices = NDArray[np.intp]
-LoadSource = Literal["model", "measured"]
 
 MOST_ROWS = 30  # of a curve's table; its JSON has all
-LOAD_MISMATCH = 0.1  # difference relative to the RMS of the load that is reported
 LEAST_SAMPLES = 4  # of a pass
 ONE_DIRECTION = 0.99  # least filtered sign of velocity, which excludes samples near reversals
 SPEED_RATIO = 1.3  # largest ratio of the two speeds of a pair
@@ -75,9 +70,6 @@ class FrictionCurve:
     #: (G,) Number of pairs of a forward and a backward pass that contribute to each point
     count: Indices
     load_source: str  # ``model`` (the rigid torque) or ``measured`` (the mean of both directions)
-    #: RMS difference between the mean torque of both directions and the model's rigid torque, N·m;
-    #: NaN without a model
-    load_error: float
     cutoff: float  # cut-off frequency of the low-pass filter, Hz
     recordings: tuple[Source, ...]
     warnings: tuple[LieidWarning, ...]
@@ -111,7 +103,6 @@ class FrictionCurve:
                 dict(zip(columns, point, strict=True)) for point in zip(*values, strict=True)
             ],
             "load_source": self.load_source,
-            "load_error": number_or_none(self.load_error),
             "cutoff": self.cutoff,
             "recordings": [r.to_dict() for r in self.recordings],
             "warnings": warning_list(self.warnings),
@@ -156,7 +147,6 @@ def friction_curve(
     joint: int,
     *,
     processing: Processing | None = None,
-    load: LoadSource | None = None,
 ) -> FrictionCurve:
     """Return the friction of one joint from its forward and backward motion.
 
@@ -167,13 +157,12 @@ def friction_curve(
 
     ``arm``: source of link parameters: identified ones and armatures of a fit, or nominal ones;
     ``recordings``: recordings with torques; ``joint``: from 0; ``processing``: filter options; by
-    default the cut-off is chosen from the spectrum. ``load``: source of the load that friction may
-    depend on: the rigid torque of the model, or the mean torque of both directions. The default is
-    the model for a fit and the measurement for a robot, whose inertias are nominal.
+    default the cut-off is chosen from the spectrum. The load that friction may depend on is the
+    rigid torque of a fit, or the mean torque of both directions for a robot, whose inertias are
+    nominal.
     Raises `RecordingError`: the joint never moves or moves in one direction only, or passes no
     position in both directions. Raises `ModelError`: the arm does not have this joint, or
-    recordings have no torque or are of another arm. Raises `RobotError`: ``load="model"`` is given
-    for a robot without inertias.
+    recordings have no torque or are of another arm.
     """
     given = listed(recordings)
     robot = arm.model.robot if isinstance(arm, Fit) else arm
@@ -182,20 +171,15 @@ def friction_curve(
     if not given:
         raise RecordingError("no recordings given; expected at least one")
     check_recordings(Model(robot), given)
-    known = isinstance(arm, Fit) or arm.has_inertia
-    if not known and load == "model":
-        raise RobotError(f"{robot.name}: its links have no inertia; expected load='measured'")
-    source: LoadSource = load or ("model" if isinstance(arm, Fit) else "measured")
+    source = "model" if isinstance(arm, Fit) else "measured"
     segments = process(given, processing)
     names = ", ".join(r.name for r in given if r.name) or "recording"
     pairs = _matched(segments, _torques(arm, segments, joint), joint, names)
-    mismatch = _rms(pairs.rigid - pairs.measured) if known else float("nan")
     load_torque = np.abs(pairs.rigid if source == "model" else pairs.measured)
     pairs, load_torque, member = _grouped(pairs, load_torque)
     size = np.bincount(member)
     found = [w for r in given for w in check(r, robot)]
     found += [w for s in segments for w in s.warnings]
-    found += _load_warnings(mismatch, _rms(pairs.rigid), joint, source)
     trends = np.column_stack([pairs.speed, load_torque])
     return FrictionCurve(
         robot=robot,
@@ -207,7 +191,6 @@ def friction_curve(
         std=_standard_errors(pairs, member, trends),
         count=np.array([len(np.unique(pairs.stretch[member == g])) for g in range(len(size))]),
         load_source=source,
-        load_error=mismatch,
         cutoff=segments[0].cutoff,
         recordings=tuple(Source.of(r) for r in given),
         # the other joints stand still as they should
@@ -231,29 +214,6 @@ def _torques(arm: Robot | Fit, segments: Sequence[Processed], joint: int) -> Arr
         measured = s.tau[:, joint] - armature * s.ddq[:, joint]
         parts.append(s.filter(np.column_stack([rigid, measured])))
     return np.concatenate(parts)
-
-
-def _load_warnings(
-    mismatch: float, size: float, joint: int, source: LoadSource
-) -> list[LieidWarning]:
-    if not mismatch > LOAD_MISMATCH * size:
-        return []
-    consequence = (
-        "but its load dependence is" if source == "model" else "and its load is the measured one"
-    )
-    return [
-        LoadMismatchWarning(
-            f"joint {joint + 1}: the mean torque of both directions differs from the model's rigid "
-            f"torque by {mismatch:.3g} N·m RMS, which is "
-            f"{100.0 * mismatch / max(size, 1e-300):.0f} % of the rigid torque; check inertias, "
-            "tool, torque constants and the offset of the torque signal. The friction torque is "
-            f"not affected, {consequence}"
-        )
-    ]
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 @dataclass(frozen=True, eq=False)

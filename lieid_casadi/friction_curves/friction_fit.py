@@ -19,13 +19,12 @@ from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     BoundWarning,
     EffectError,
-    ExtrapolationWarning,
     LieidWarning,
     NotDissipativeWarning,
     UnidentifiableWarning,
     warning_list,
 )
-from lieid_casadi.friction_curves.curve import FrictionCurve, LoadSource, friction_curve
+from lieid_casadi.friction_curves.curve import FrictionCurve, friction_curve
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.regression.least_squares import Factor, solve
 from lieid_casadi.identification.regression.variable_projection import (
@@ -52,9 +51,7 @@ EVALUATIONS = 50  # of the residual in one local search
 ZERO_COLUMN = 1e-9  # norm relative to the largest column below which a column counts as zero
 INVOLVED = 1e-3  # scaled component of a direction without information that is part of it
 NAMED = 0.05  # of a direction's largest component, above which a parameter is named
-FAR = 0.5  # of the largest measured friction, by which an extrapolation may leave its range
-SLOWEST = 0.05  # of the slowest measured speed, down to which the extrapolation is checked
-POINTS = 80  # speeds
+POINTS = 80  # speeds at which the sign of the friction is checked
 
 
 def steady_columns(
@@ -268,7 +265,7 @@ def fit_friction(
     matrix = weight[:, None] * np.column_stack([columns(shapes), slopes])
     covariance, hidden = _covariance(matrix, residual)
     fit = FrictionFit(curve, model, coefficients, shapes, covariance, predicted, ())
-    found = (*_bounds(fit), *_not_identifiable(fit, hidden), *_implausible(fit))
+    found = (*_bounds(fit), *_not_identifiable(fit, hidden), *_negative(fit))
     return replace(fit, warnings=found)
 
 
@@ -371,33 +368,20 @@ def _not_identifiable(fit: FrictionFit, hidden: Sequence[Array]) -> list[LieidWa
     return found
 
 
-def _implausible(fit: FrictionFit) -> list[LieidWarning]:
-    """Warn of negative friction, and of extreme values below the slowest measured speed."""
-    curve, unit = fit.curve, fit.curve.unit
+def _negative(fit: FrictionFit) -> list[LieidWarning]:
+    """Warn of friction that drives the joint at some measured speed and load."""
+    curve = fit.curve
     slowest, fastest = float(curve.speed.min()), float(curve.speed.max())
-    speeds = np.geomspace(SLOWEST * slowest, fastest, POINTS)
-    loads = np.array([curve.load.min(), curve.load.max()])
-    friction = fit.friction(np.tile(speeds, 2), load=np.repeat(loads, len(speeds)))
-    below = np.tile(speeds, 2) < slowest
-    most = float(np.abs(curve.friction).max())
-    found: list[LieidWarning] = []
-    if np.any(friction[~below] < 0.0):
-        found.append(
-            NotDissipativeWarning(
-                f"joint {curve.joint + 1}: the fitted friction is negative, that is, it drives the "
-                f"joint, at some speed from {slowest:.3g} to {fastest:.3g} rad/s"
-            )
+    speeds = np.tile(np.geomspace(slowest, fastest, POINTS), 2)
+    loads = np.repeat([curve.load.min(), curve.load.max()], POINTS)
+    if np.all(fit.friction(speeds, load=loads) >= 0.0):
+        return []
+    return [
+        NotDissipativeWarning(
+            f"joint {curve.joint + 1}: the fitted friction is negative, that is, it drives the "
+            f"joint, at some speed from {slowest:.3g} to {fastest:.3g} rad/s"
         )
-    worst = friction[below][np.argmax(np.abs(friction[below] - 0.5 * most))]
-    if not -FAR * most < worst < (1.0 + FAR) * most:
-        found.append(
-            ExtrapolationWarning(
-                f"joint {curve.joint + 1}: below the slowest measured speed of {slowest:.3g} rad/s "
-                f"the fitted friction reaches {worst:.3g} {unit} (measured: at most {most:.3g}); "
-                "record slower motion or use a model with fewer parameters"
-            )
-        )
-    return found
+    ]
 
 
 def friction(
@@ -407,7 +391,6 @@ def friction(
     *,
     effects: str | Iterable[str | Effect] | None = None,
     processing: Processing | None = None,
-    load: LoadSource | None = None,
 ) -> FrictionFit:
     """Fit a friction model to the motion of one joint in both directions (Eq. 15).
 
@@ -424,9 +407,6 @@ def friction(
         Coulomb, viscous and Stribeck friction, and load friction where the load varies.
     processing : Processing, optional
         Filter options; by default the cut-off is chosen from the spectrum.
-    load : {"model", "measured"}, optional
-        Source of the load that friction may depend on: the rigid torque (default of a fit), or the
-        mean torque of both directions (default of a robot, whose inertias are nominal).
 
     Returns
     -------
@@ -440,5 +420,5 @@ def friction(
     EffectError
         An effect is unknown or acts on another joint.
     """
-    curve = friction_curve(arm, recordings, joint, processing=processing, load=load)
+    curve = friction_curve(arm, recordings, joint, processing=processing)
     return fit_friction(curve, effects)

@@ -68,8 +68,6 @@ class DriveGains:
         Gains without a value, or with a standard deviation above 10 % of the value.
     mass : float
         Mass of the payload as given, kg.
-    com, com_std : (3,)
-        Centre of mass of the payload in the tool frame, m.
     rms : (n,)
         RMS residual of joints in motion, N·m.
     cutoff : float
@@ -88,8 +86,6 @@ class DriveGains:
     covariance: Array
     not_identified: tuple[GainNotIdentified, ...]
     mass: float
-    com: Array
-    com_std: Array
     rms: Array
     cutoff: float
     unloaded: tuple[Source, ...]
@@ -128,7 +124,7 @@ class DriveGains:
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid gains --json`` writes."""
         rows = self.table()
-        arrays = {name: getattr(self, name) for name in ("gains", "std", "com", "com_std", "rms")}
+        arrays = {name: getattr(self, name) for name in ("gains", "std", "rms")}
         return {
             "robot": self.robot.name,
             "effects": list(self.effects),
@@ -344,25 +340,21 @@ def _result(
     options: Processing,
     recordings: tuple[Sequence[Recording], Sequence[Recording]],
 ) -> DriveGains:
-    n, mass = model.n, float(solution.body[0])
-    gains, std = solution.gains, np.sqrt(np.diag(solution.covariance))
+    n, mass = model.n, solution.mass
+    gains, std = solution.gains, np.sqrt(np.diag(solution.covariance)[:n])
     rms = np.array([np.sqrt(np.mean(e**2)) if len(e) else np.nan for e in solution.residuals])
     moves = np.array([len(i) > 0 for i in solution.currents])
-    known = ~_involved(solution.hidden)
-    identifiable = known[:n] & moves
+    identifiable = ~_involved(solution.hidden)[:n] & moves
     _require_arm(model, solution, rms, recordings)
-    _require_load(gains, std[:n], identifiable, mass)
-    centre = slice(n + model.base.count, n + model.base.count + 3)
+    _require_load(gains, std, identifiable, mass)
     return DriveGains(
         robot=model.robot,
         effects=tuple(model.effects),
         gains=np.where(identifiable, gains, np.nan),
-        std=np.where(identifiable, std[:n], np.nan),
+        std=np.where(identifiable, std, np.nan),
         covariance=solution.covariance[:n, :n],
-        not_identified=_not_identified(gains, std[:n], moves, identifiable),
+        not_identified=_not_identified(gains, std, moves, identifiable),
         mass=mass,
-        com=np.where(known[centre], solution.body[1:4] / mass, np.nan),
-        com_std=np.where(known[centre], std[centre] / mass, np.nan),
         rms=rms,
         cutoff=float(options.cutoff or np.nan),
         unloaded=tuple(Source.of(r) for r in recordings[0]),

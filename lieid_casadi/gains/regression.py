@@ -40,10 +40,10 @@ CONVERGED = 1e-5  # relative change of the gains
 
 @dataclass(frozen=True, eq=False)
 class GainSolution:
-    """Gains and payload, with their covariance."""
+    """Gains, with the covariance of all parameters."""
 
     gains: Array  # (n,) N·m/A; zero for a joint that never moves
-    body: Array  # (10,) Payload in the tool frame: m, m·c, inertia about the tool frame's origin
+    mass: float  # of the payload, kg
     covariance: Array  # (n + p + 9,) square, of gains, base parameters and payload without mass
     hidden: Array  # (h, n + p + 9) Directions that cannot be identified from the data
     residuals: tuple[Array, ...]  # one array per joint, N·m
@@ -82,7 +82,7 @@ def solve_gains(unloaded: Design, loaded: Design, mass: float) -> GainSolution:
     least = solve(combine(joint_factors(exact), [1.0 / _size(e) for e in residuals]))
     return GainSolution(
         gains=found[:n],
-        body=np.array([mass, *found[len(found) - BODY + 1 :]]),
+        mass=mass,
         covariance=hac_covariance(exact, weights, residuals, least.unit_covariance),
         hidden=np.array(least.unexcited).reshape(-1, exact.count),
         residuals=tuple(residuals),

@@ -22,7 +22,12 @@ from lieid_casadi.comparison.comparison import (
     largest_errors_table,
     verdict,
 )
-from lieid_casadi.diagnosis.result import evidence_table, rejected_table, unexplained_table
+from lieid_casadi.diagnosis.result import (
+    evidence_table,
+    motion_table,
+    rejected_table,
+    unexplained_table,
+)
 from lieid_casadi.effects import make
 from lieid_casadi.effects.description import describe, formula_html
 from lieid_casadi.effects.registry import REGISTER
@@ -31,7 +36,6 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.payload.estimate import not_identified
 from lieid_casadi.report.page import Section, picture_section, render, table_section
-from lieid_casadi.simulation.simulate import window_table
 from lieid_casadi.tables import Table, make_table
 
 if TYPE_CHECKING:
@@ -41,13 +45,12 @@ if TYPE_CHECKING:
     from lieid_casadi.payload import PayloadEstimate
     from lieid_casadi.premises import PremiseCheck
     from lieid_casadi.robot import Robot
-    from lieid_casadi.simulation import WindowDrift
 
 SIGNIFICANT = 2.0  # standard deviations away from zero
 
 
-def comparison_report(fit: Fit, comparison: Comparison, drift: WindowDrift | None = None) -> str:
-    """Return the HTML report of a fit on test recordings, with errors of a simulation.
+def comparison_report(fit: Fit, comparison: Comparison) -> str:
+    """Return the HTML report of a fit on test recordings.
 
     The verdict comes first, then warnings, errors and figures, then the details of the fit.
     """
@@ -57,10 +60,6 @@ def comparison_report(fit: Fit, comparison: Comparison, drift: WindowDrift | Non
         _warnings(comparison.warnings, fit.warnings),
         table_section("Error per joint", error_table(comparison)),
     ]
-    if drift is not None:
-        reason = [f"Not simulated: {drift.reason}."] if drift.reason else []
-        title = "Simulation error per joint"
-        sections.append(table_section(title, window_table(drift), sentences=reason))
     sections += _pictures(comparison)
     sections.append(table_section("Largest errors", largest_errors_table(comparison), folded=True))
     sections += [*fit_sections(fit), _provenance(fit, comparison)]
@@ -95,7 +94,9 @@ def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None)
     return render(
         f"{fit.model.robot.name}: diagnosis",
         [
-            table_section("Verdict", errors, sentences=sentences, titles=True),
+            table_section(
+                "Verdict", errors, motion_table(diagnosis), sentences=sentences, titles=True
+            ),
             *_next_commands(_after_diagnosis(diagnosis)),
             picture_section("From the first model to the last", diagnosis.plot()),
             evidence,

@@ -1,17 +1,7 @@
 """Forward simulation of a fit."""
 
-from lieid_casadi.simulation.batch import simulate_batch
+from lieid_casadi.simulation.integration import simulate_batch
 from lieid_casadi.simulation.polish import polish
-from lieid_casadi.simulation.simulate import (
-    MotionGain,
-    Simulation,
-    WindowDrift,
-    motion_gain,
-    simulate,
-    window_drift,
-)
+from lieid_casadi.simulation.simulate import MotionGain, Simulation, motion_gain, simulate
 
-__all__ = [
-    "MotionGain", "Simulation", "WindowDrift", "motion_gain", "polish", "simulate",
-    "simulate_batch", "window_drift",
-]  # fmt: skip
+__all__ = ["MotionGain", "Simulation", "motion_gain", "polish", "simulate", "simulate_batch"]

@@ -10,15 +10,22 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.compiled.compiled_model import default_threads
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.errors import ModelError
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import center_temperature, training_rms
-from lieid_casadi.recording import Processed, Recording, process
+from lieid_casadi.recording import Recording, process
 from lieid_casadi.recording.recording import listed
-from lieid_casadi.simulation.batch import simulate_batch
-from lieid_casadi.simulation.runs import input_of, require_positive_mass_matrix, runs_of
+from lieid_casadi.simulation.runs import (
+    Run,
+    input_of,
+    motions,
+    require_positive_mass_matrix,
+    runs_of,
+    with_coefficients,
+)
 
 LONGEST_DELAY = 0.5  # s
 MOST_WINDOWS = 60
@@ -73,12 +80,11 @@ def polish(
     given, report = listed(recordings), progress or (lambda stage, fraction: None)
     input_of(fit, given, "command")
     runs = [run for recording in given for run in runs_of(fit, recording, window, "command")]
-    parts = [_Windows.of(run.segment, window) for run in runs if run.windows]
-    parts = [part for part in parts if len(part.q)]
-    if not parts:
+    runs = [run for run in runs if len(run.starts)]
+    if not runs:
         raise ModelError(f"no segment has the length of a window of {window:g} s")
     require_positive_mass_matrix(fit, runs)
-    problem = _Problem.of(fit, parts)
+    problem = _Problem.of(fit, runs)
     before = problem.errors([fit])[0]
     scale = np.maximum(np.sqrt(np.nanmean(before**2, axis=0)), LEAST_ERROR)
     done = 0
@@ -118,47 +124,18 @@ def _with_errors(fit: Fit, recordings: Sequence[Recording]) -> Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Windows:
-    """Windows of one segment: starts (W, n), commands (H + T, W, n), and what was measured."""
-
-    q: Array
-    dq: Array
-    commands: Array  # the first H rows precede the start
-    measured: Array  # (T, W, n) at the ends of the intervals
-    interval: float  # s
-    history: int  # H
-
-    @classmethod
-    def of(cls, segment: Processed, window: float) -> _Windows:
-        """Return windows of the recording's own rows, from which to which commands are held."""
-        own = segment.recording
-        assert own.command is not None
-        length, history = round(window * own.rate), int(np.ceil(LONGEST_DELAY * own.rate))
-        starts = np.arange(0, len(own.t) - length, length)
-        starts = starts[:: max(1, -(-len(starts) // MOST_WINDOWS))]
-        q, dq = (
-            np.column_stack([np.interp(own.t, segment.t, x) for x in signal.T])
-            for signal in (segment.q, segment.dq)
-        )
-        at = starts + np.arange(-history, length)[:, None]
-        after = starts + np.arange(1, length + 1)[:, None]
-        command = own.command[np.maximum(at, 0)]
-        return cls(q[starts], dq[starts], command, q[after], 1.0 / own.rate, history)
-
-
-@dataclass(frozen=True, eq=False)
 class _Problem:
-    """Coefficients that are refined, in units of their sizes, and the windows."""
+    """Coefficients that are refined, in units of their sizes, and the segments."""
 
     fit: Fit
-    parts: Sequence[_Windows]
+    runs: Sequence[Run]
     columns: NDArray[np.intp]  # of the effects' coefficients
     sizes: Array
     lower: Array
     upper: Array
 
     @classmethod
-    def of(cls, fit: Fit, parts: Sequence[_Windows]) -> _Problem:
+    def of(cls, fit: Fit, runs: Sequence[Run]) -> _Problem:
         own = [(p.effect, c) for p in fit.model.placements for c in p.effect.coefficients]
         used = [
             k
@@ -175,7 +152,7 @@ class _Problem:
         upper = np.array([own[k][1].upper for k in used]) / sizes
         delays = [isinstance(own[k][0], CommandDelay) for k in used]
         upper = np.where(delays, np.minimum(upper, LONGEST_DELAY / sizes), upper)
-        return cls(fit, parts, columns, sizes, lower - 1e-9, upper)
+        return cls(fit, runs, columns, sizes, lower - 1e-9, upper)
 
     @property
     def start(self) -> Array:
@@ -184,24 +161,21 @@ class _Problem:
 
     def fit_at(self, x: Array) -> Fit:
         """Return the fit with other coefficients."""
-        parameters = self.fit.parameters.copy()
-        parameters[10 * self.fit.model.n + self.columns] = x * self.sizes
-        values = self.fit.model.base.combination @ parameters
-        return replace(self.fit, parameters=parameters, values=values)
+        values = self.fit.effect_coefficients.copy()
+        values[self.columns] = x * self.sizes
+        return with_coefficients(self.fit, values)
 
     def errors(self, fits: Sequence[Fit]) -> Array:
         """Return simulated minus measured positions (F, R, n) of fits, at all compared instants."""
-        found = []
-        for part in self.parts:
-            windows, many = len(part.q), len(fits)
-            q, dq = np.tile(part.q, (many, 1)), np.tile(part.dq, (many, 1))
-            commands = np.tile(part.commands, (1, many, 1))
-            arms = [fit for fit in fits for _ in range(windows)]
-            path, _ = simulate_batch(
-                arms, q, dq, commands, interval=part.interval, history=part.history
-            )
-            step = max(1, round(COMPARED / part.interval))
-            error = path[1:] - np.tile(part.measured, (1, many, 1))
-            error = error[step - 1 :: step].reshape(-1, many, windows, q.shape[1])
-            found.append(error.transpose(1, 0, 2, 3).reshape(many, -1, q.shape[1]))
+        found, many, n = [], len(fits), self.fit.model.n
+        for run in self.runs:
+            starts = run.starts[:: max(1, -(-len(run.starts) // MOST_WINDOWS))]
+            step = max(1, round(COMPARED / (run.substeps * run.h)))
+            rows = np.arange(step, run.per_window + 1, step)
+            path = motions(
+                [fit for fit in fits for _ in starts], run, np.tile(starts, many), compiled=True,
+                threads=default_threads(),
+            )[rows, :, :n].reshape(len(rows), many, len(starts), n)  # fmt: skip
+            error = path - run.segment.q[starts + rows[:, None]][:, None]
+            found.append(error.transpose(1, 0, 2, 3).reshape(many, -1, n))
         return np.concatenate(found, axis=1)

@@ -1,17 +1,14 @@
-"""Segments of recordings that a simulation follows: time steps, input, integration."""
+"""Segments of recordings that a simulation follows: time steps, input, windows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.effects.joint_elasticity import JointElasticity
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.symbolic import symbolic
@@ -20,8 +17,8 @@ from lieid_casadi.identification.prediction import relative_temperature
 from lieid_casadi.identification.recording_checks import check_joints
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.recording import Processed, Processing, Recording, process
+from lieid_casadi.simulation.integration import STEP, Indices, Input, delays_of, integrate
 from lieid_casadi.simulation.play import Coordinates
-from lieid_casadi.simulation.step import initial_state, step_function
 
 
 def with_torque_of_drives(fit: Fit, segment: Processed) -> Processed:
@@ -49,8 +46,6 @@ def _is_of_sensors(effect: object) -> bool:
     )
 
 
-Input = Literal["command", "torque"]
-STEP = 1e-3  # s, longest step
 POSES = 500  # at which the mass matrix is checked
 
 
@@ -101,120 +96,93 @@ class Run:
 
     segment: Processed  # of K instants
     under: Input
-    temperature: Array  # (n, K), °C
+    temperature: Array  # (K, n), °C
     substeps: int  # steps between two instants
     h: float  # step, s
     per_window: int  # instants between the start of a window and its end
 
     @property
-    def windows(self) -> int:
-        """Number of windows."""
-        return (len(self.segment) - 1) // self.per_window
+    def starts(self) -> Indices:
+        """Instants (W,) at which windows start, one after the other."""
+        return np.arange((len(self.segment) - 1) // self.per_window) * self.per_window
 
-    def inputs(self, delays: Array) -> Array:
-        """Return the input (n, (K − 1)·substeps) in the middle of each step.
+    def inputs(self, fit: Fit) -> Array:
+        """Return the mean input ((K − 1)·substeps, n) in each step.
 
         Commands are held from row to row of the recording, which delays them by half of that
-        interval on average; delays (n,), s, of a fit contain it.
+        interval on average; delays of a fit contain it.
         """
         t, own = self.segment.t, self.segment.recording
-        middle = t[0] + (np.arange((len(t) - 1) * self.substeps) + 0.5) * self.h
+        edges = t[0] + np.arange((len(t) - 1) * self.substeps + 1) * self.h
         if self.under == "torque":
-            assert self.segment.tau is not None
-            return np.stack([np.interp(middle, t, x) for x in self.segment.tau.T])
+            tau = with_torque_of_drives(fit, self.segment).tau
+            assert tau is not None
+            return np.column_stack([np.interp(edges[:-1] + 0.5 * self.h, t, x) for x in tau.T])
         assert own.command is not None
-        late = middle - np.maximum(delays - 0.5 / own.rate, 0.0)[:, None]
-        rows = np.maximum(np.searchsorted(own.t, late, side="right") - 1, 0)
-        return np.take_along_axis(own.command.T, rows, axis=1)
+        late = np.maximum(delays_of(fit) - 0.5 / own.rate, 0.0)
+        rows = np.append(own.t[0] - late.max() - 1.0, own.t)
+        held = np.vstack([own.command[:1], own.command[:-1]]) * np.diff(rows)[:, None]
+        passed = np.vstack([np.zeros(len(late)), np.cumsum(held, axis=0)])
+        integral = [np.interp(edges - d, rows, x) for d, x in zip(late, passed.T, strict=True)]
+        return np.asarray(np.diff(integral).T / self.h)
+
+
+def run_of(fit: Fit, segment: Processed, window: float, under: Input) -> Run:
+    """Return a segment, whose temperatures are relative to the fit's, for windows in s."""
+    t = segment.t
+    interval = float(t[-1] - t[0]) / (len(t) - 1)
+    substeps = max(1, int(np.ceil(interval / STEP - 1e-9)))
+    warm = np.zeros_like(segment.q) if segment.temperature is None else segment.temperature
+    warm = warm + (0.0 if fit.temperature_mean is None else fit.temperature_mean)
+    per_window = max(1, round(window / interval))
+    return Run(segment, under, warm, substeps, interval / substeps, per_window)
 
 
 def runs_of(fit: Fit, recording: Recording, window: float, under: Input) -> list[Run]:
-    """Return the segments of a recording, for windows in s; too short ones are left out."""
+    """Return the segments of a recording, for windows in s."""
     options = Processing(cutoff=fit.processing.cutoff, trim=0.0)
-    made = []
-    for raw in process(recording, options):
-        segment = relative_temperature(raw, fit.temperature_mean)
-        t = segment.t
-        interval = float(t[-1] - t[0]) / (len(t) - 1)
-        substeps = max(1, int(np.ceil(interval / STEP - 1e-9)))
-        h = interval / substeps
-        mean = np.zeros(fit.model.n) if fit.temperature_mean is None else fit.temperature_mean
-        warm = mean + (
-            np.zeros_like(segment.q) if segment.temperature is None else segment.temperature
-        )
-        per_window = max(1, round(window / interval))
-        made.append(Run(segment, under, warm.T, substeps, h, per_window))
-    return made
+    segments = (relative_temperature(s, fit.temperature_mean) for s in process(recording, options))
+    return [run_of(fit, segment, window, under) for segment in segments]
 
 
-def delays_of(fit: Fit) -> Array:
-    """Return the delay (n,) of the commands that a fit states, s."""
-    delays = np.zeros(fit.model.n)
-    for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
-        if column.name == f"{CommandDelay.name}.delta":
-            delays[column.joint] = max(float(value), 0.0)
-    return delays
+def with_coefficients(fit: Fit, values: Array) -> Fit:
+    """Return a fit with other coefficients (m,) of its effects."""
+    parameters = np.concatenate([fit.link_parameters, values])
+    return replace(fit, parameters=parameters, values=fit.model.base.combination @ parameters)
 
 
-FARTHEST = 1e3  # rad, at which a simulation has left every range
+def motions(
+    fits: Sequence[Fit],
+    run: Run,
+    starts: Indices,
+    *,
+    length: int | None = None,
+    compiled: bool = False,
+    threads: int = 1,
+) -> Array:
+    """Return the states (length + 1, W, S) of motions from the measured states at starts (W,).
+
+    ``fits``: one, or one per motion, of one model. ``length``: instants, by default a window.
+    """
+    unique = list({id(fit): fit for fit in fits}.values())
+    places = {id(fit): k for k, fit in enumerate(unique)}
+    own = np.broadcast_to([places[id(fit)] for fit in fits], len(starts))
+    along = [Coordinates.of(fit).along(fit, run.segment) for fit in unique]
+    x, dx = (np.stack([each[k] for each in along])[own, starts] for k in (0, 1))
+    inputs, m = np.stack([run.inputs(fit) for fit in unique]), run.substeps
+
+    def signals(k: int, part: Indices) -> tuple[Array, Array, Array]:
+        at = starts[part] * m + k
+        return inputs[own[part], at], run.temperature[at // m], np.asarray(at * run.h)
+
+    count = run.per_window if length is None else length
+    return integrate(
+        fits, x, dx, signals, h=run.h, steps=count * m, every=m, under=run.under,
+        compiled=compiled, threads=threads,
+    )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Simulated:
-    """Simulated motion of one run (K, n), and its errors at the windows' ends (W, n)."""
-
-    t: Array
-    q: Array
-    dq: Array
-    end_errors: Array
-
-
-class Integrator:
-    """Integration of runs by the step function of a fit."""
-
-    def __init__(self, fit: Fit, under: Input) -> None:
-        self._fit = fit
-        self._coordinates = Coordinates.of(fit)
-        self._step = step_function(fit, fit.model.robot.drives if under == "command" else None)
-
-    def windows(self, run: Run, *, every: int = 1) -> Simulated:
-        """Return the motion in consecutive windows, or every k-th, from the measured states."""
-        segment, n = run.segment, self._fit.model.n
-        length = run.per_window
-        starts = np.arange(0, run.windows, every) * length
-        path = self._paths(run, starts, length)  # (length + 1, W, d)
-        ends = path[-1, :, :n] - segment.q[starts + length]
-        d = self._coordinates.size
-        inside = path[:-1].transpose(1, 0, 2).reshape(len(starts) * length, -1)
-        rows = (starts[:, None] + np.arange(length)).ravel()
-        return Simulated(segment.t[rows], inside[:, :n], inside[:, d : d + n], ends)
-
-    def whole(self, run: Run) -> Array:
-        """Return the errors (K, n) of the motion from the first state of the segment."""
-        path = self._paths(run, np.zeros(1, dtype=int), len(run.segment) - 1)
-        return np.asarray(path[:, 0, : self._fit.model.n] - run.segment.q)
-
-    def _paths(self, run: Run, starts: NDArray[np.int_], length: int) -> Array:
-        """Return states (length + 1, W, d) from the measured states at the starts (W,)."""
-        segment, m, windows = run.segment, run.substeps, len(starts)
-        x, dx = self._coordinates.along(self._fit, segment)
-        state = initial_state(self._fit, x[starts], dx[starts])
-        path = np.empty((length + 1, windows, len(state)))
-        path[0] = state.T
-        if not windows:
-            return path
-        chunk = self._step.mapaccum("chunk", m).map(windows)
-        if run.under == "torque":
-            run = replace(run, segment=with_torque_of_drives(self._fit, segment))
-        inputs = run.inputs(delays_of(self._fit))
-        steps = np.full((1, windows * m), run.h)
-        for k in range(length):
-            columns = ((starts + k) * m)[:, None] + np.arange(m)
-            time = columns.ravel() * run.h
-            warm = np.repeat(run.temperature[:, starts + k], m, axis=1)
-            found = chunk(state, inputs[:, columns.ravel()], warm, time[None], steps).full()
-            state = found[:, m - 1 :: m]
-            lost = ~(np.abs(state[: 2 * self._coordinates.size]) < FARTHEST).all(axis=0)
-            state[:, lost] = np.nan
-            path[k + 1] = state.T
-        return path
+def end_errors(fits: Sequence[Fit], run: Run, starts: Indices) -> Array:
+    """Return simulated minus measured positions (W, n) at the ends of windows; see `motions`."""
+    ends = motions(fits, run, starts)[-1, :, : fits[0].model.n]
+    return np.asarray(ends - run.segment.q[starts + run.per_window])

@@ -12,7 +12,6 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.effects.joint_elasticity import JointElasticity
 from lieid_casadi.errors import (
-    LieidError,
     LieidWarning,
     ModelError,
     NotSimulatedWarning,
@@ -26,12 +25,13 @@ from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
-from lieid_casadi.simulation.play import LARGEST, plays_of
+from lieid_casadi.simulation.integration import Input
+from lieid_casadi.simulation.play import LARGEST, Coordinates, plays_of
 from lieid_casadi.simulation.runs import (
-    Input,
-    Integrator,
     Run,
+    end_errors,
     input_of,
+    motions,
     require_positive_mass_matrix,
     runs_of,
 )
@@ -159,87 +159,43 @@ class Simulation:
         return f"<Simulation over {self.window:g} s windows: RMS drift {degrees} deg>"
 
 
-WINDOW = 1.0  # s
-MOST_WINDOWS = 60
 LEAST_ERROR = 1e-4  # rad, below which an error in position does not count
 
 
 @dataclass(frozen=True, eq=False)
-class WindowDrift:
-    """How far a simulation leaves the measured motion within short windows."""
-
-    joint_names: tuple[str, ...]
-    window: float  # length of the windows, s
-    under: str  # input of the simulation: command, torque; empty if there is none
-    windows: int  # number of windows that were simulated
-    drift: Drift  # at the ends of the windows, rad; NaN if there is none
-    reason: str  # why there is no simulation; empty if there is one
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry ``simulation`` of ``lieid compare --json``; angles in rad."""
-        return {
-            "window": self.window,
-            "under": self.under,
-            "windows": self.windows,
-            **self.drift.to_dict(),
-            "reason": self.reason,
-        }
-
-
-def window_drift(
-    fit: Fit,
-    recordings: Recording | Sequence[Recording],
-    *,
-    window: float = WINDOW,
-    most: int = MOST_WINDOWS,
-) -> WindowDrift:
-    """Simulate a fit over windows (s) of recordings; a reason takes the place of an error.
-
-    The windows are those of `simulate`; of more than ``most`` every k-th.
-    """
-    names = tuple(joint.name for joint in fit.model.robot.joints)
-    try:
-        under, (errors,) = _end_errors([fit], listed(recordings), window, most)
-    except LieidError as error:
-        return WindowDrift(names, window, "", 0, Drift.unknown(len(names)), str(error))
-    return WindowDrift(names, window, under, len(errors), Drift.of(errors), "")
-
-
-def _end_errors(
-    fits: Sequence[Fit], recordings: Sequence[Recording], window: float, most: int
-) -> tuple[Input, list[Array]]:
-    """Return the input, and each fit's errors (W, n) at the ends of the first one's windows."""
-    under = input_of(fits[0], recordings, None)
-    every_run = [r for recording in recordings for r in runs_of(fits[0], recording, window, under)]
-    runs = [run for run in every_run if run.windows]
-    total = sum(run.windows for run in runs)
-    if not total:
-        raise RecordingError(
-            f"no segment of the recordings has the length of a window of {window:g} s"
-        )
-    errors, every = [], -(-total // most)
-    for fit in fits:
-        require_positive_mass_matrix(fit, runs)
-        integrator = Integrator(fit, under)
-        errors.append(
-            np.concatenate([integrator.windows(run, every=every).end_errors for run in runs])
-        )
-    return under, errors
-
-
-@dataclass(frozen=True, eq=False)
 class MotionGain:
-    """How much better a second fit predicts the motion of recordings.
+    """How much better a second fit predicts the motion of the same windows of recordings.
 
-    ``before`` and ``after`` are the RMS errors (n,) of the position at the ends of windows, rad;
+    ``before`` and ``after`` (n,) are the RMS errors of the position at the windows' ends, rad.
     ``fall`` is the mean fall of the squared error, relative to that before, over joints and
-    windows, ``std`` its standard error over the windows.
+    windows, ``std`` its standard error over the windows; ``window`` is their length, s.
     """
 
     before: Array
     after: Array
     fall: float
     std: float
+    window: float
+
+    @classmethod
+    def of(cls, before: Array, after: Array, window: float) -> MotionGain:
+        """Compare errors (W, n) of two fits at the ends of windows, rad."""
+        squares = before**2, after**2
+        rms = [np.sqrt(np.mean(square, axis=0)) for square in squares]
+        scale = np.maximum(rms[0], LEAST_ERROR) ** 2
+        falls = np.mean((squares[0] - squares[1]) / scale, axis=1)
+        std = float(falls.std(ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else np.inf
+        return cls(rms[0], rms[1], float(falls.mean()), std, window)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers for JSON; angles in rad."""
+        return {
+            "window": self.window,
+            "before": numbers_or_none(self.before),
+            "after": numbers_or_none(self.after),
+            "fall": number_or_none(self.fall),
+            "std": number_or_none(self.std),
+        }
 
 
 def motion_gain(
@@ -247,20 +203,24 @@ def motion_gain(
     after: Fit,
     recordings: Recording | Sequence[Recording],
     *,
-    window: float = WINDOW,
-    most: int = MOST_WINDOWS,
+    window: float = 1.0,
 ) -> MotionGain:
     """Compare the motion that two fits predict within the same windows (s) of recordings.
 
     A `LieidError` states why one of them cannot be simulated.
     """
-    _, errors = _end_errors([before, after], listed(recordings), window, most)
-    squares = [error**2 for error in errors]
-    scale = np.maximum(np.mean(squares[0], axis=0), LEAST_ERROR**2)
-    falls = np.mean((squares[0] - squares[1]) / scale, axis=1)
-    std = float(falls.std(ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else np.inf
-    rms = [np.sqrt(np.mean(square, axis=0)) for square in squares]
-    return MotionGain(rms[0], rms[1], float(falls.mean()), std)
+    given = listed(recordings)
+    under = input_of(before, given, None)
+    runs = [run for r in given for run in runs_of(before, r, window, under) if len(run.starts)]
+    if not runs:
+        raise RecordingError(
+            f"no segment of the recordings has the length of a window of {window:g} s"
+        )
+    errors = []
+    for fit in (before, after):
+        require_positive_mass_matrix(fit, runs)
+        errors.append(np.concatenate([end_errors([fit], run, run.starts) for run in runs]))
+    return MotionGain.of(errors[0], errors[1], window)
 
 
 INPUTS = {"command": "commanded positions", "torque": "torques"}
@@ -287,23 +247,6 @@ def drift_table(simulation: Simulation) -> Table:
         note="after a window from a measured state, with its standard error over the windows; the "
         "nominal model has the stated inertias and no effects; whole segments from their first "
         "state",
-    )
-
-
-def window_table(drift: WindowDrift) -> Table:
-    """Return the drift of each joint within short windows, in degrees; empty if there is none."""
-    rows = [
-        (f"{j + 1} {name}", _degrees(rms), _degrees(p95))
-        for j, (name, rms, p95) in enumerate(
-            zip(drift.joint_names, drift.drift.rms, drift.drift.p95, strict=True)
-        )
-    ]
-    return make_table(
-        f"Simulated − measured position, deg, {drift.window:g} s after a measured state",
-        ("joint", "RMS", "95 %"),
-        () if drift.reason else rows,
-        note=f"{drift.windows} windows under the recorded {INPUTS.get(drift.under, '')}; more by "
-        "lieid simulate",
     )
 
 
@@ -356,21 +299,20 @@ def simulate(
         raise ModelError(f"window is {window} s; expected a length above 0")
     chosen = input_of(fit, given, under)
     runs = [run for recording in given for run in runs_of(fit, recording, window, chosen)]
-    if not any(run.windows for run in runs):
+    if not any(len(run.starts) for run in runs):
         longest = max(r.duration for r in given)
         raise RecordingError(
             f"{given[0].title}: no segment has the length of a window of {window:g} s (the "
             f"recording has {longest:.3g} s); expected a shorter window (--window S)"
         )
     require_positive_mass_matrix(fit, runs)
-    integrator = Integrator(fit, chosen)
     segments = [run.segment for run in runs]
     warnings = [w for s in segments for w in (*s.recording.warnings, *s.warnings)]
     report("windows", 0.1)
-    parts = [integrator.windows(run) for run in runs]
-    errors = np.concatenate([part.end_errors for part in parts])
+    parts = [_inside(fit, run) for run in runs]
+    t, q, dq, errors = (np.concatenate(part) for part in zip(*parts, strict=True))
     report("whole", 0.7)
-    whole = np.concatenate([integrator.whole(run) for run in runs])
+    whole = np.concatenate([_whole(fit, run) for run in runs])
     report("done", 1.0)
     return Simulation(
         joint_names=tuple(joint.name for joint in fit.model.robot.joints),
@@ -380,12 +322,28 @@ def simulate(
         drift=Drift.of(errors),
         nominal=_nominal_drift(fit, runs),
         rms_whole=np.sqrt(np.mean(whole**2, axis=0)),
-        t=np.concatenate([part.t for part in parts]),
-        q=np.concatenate([part.q for part in parts]),
-        dq=np.concatenate([part.dq for part in parts]),
+        t=t,
+        q=q,
+        dq=dq,
         recordings=tuple(Source.of(r) for r in given),
         warnings=unique_warnings([*_not_simulated(fit), *warnings]),
     )
+
+
+def _inside(fit: Fit, run: Run) -> tuple[Array, Array, Array, Array]:
+    """Return time, positions and velocities inside of windows, and the errors at their ends."""
+    n, d, length, starts = fit.model.n, Coordinates.of(fit).size, run.per_window, run.starts
+    path = motions([fit], run, starts)
+    inside = path[:-1].transpose(1, 0, 2).reshape(len(starts) * length, -1)
+    rows = (starts[:, None] + np.arange(length)).ravel()
+    ends = path[-1, :, :n] - run.segment.q[starts + length]
+    return run.segment.t[rows], inside[:, :n], inside[:, d : d + n], ends
+
+
+def _whole(fit: Fit, run: Run) -> Array:
+    """Return the errors (K, n) of the motion from the first state of a segment."""
+    path = motions([fit], run, np.zeros(1, dtype=int), length=len(run.segment) - 1)
+    return np.asarray(path[:, 0, : fit.model.n] - run.segment.q)
 
 
 def _not_simulated(fit: Fit) -> list[LieidWarning]:
@@ -424,5 +382,4 @@ def _nominal_drift(fit: Fit, runs: Sequence[Run]) -> Drift | None:
         require_positive_mass_matrix(nominal, runs)
     except ModelError:
         return Drift.unknown(robot.n)
-    integrator = Integrator(nominal, runs[0].under)
-    return Drift.of(np.concatenate([integrator.windows(run).end_errors for run in runs]))
+    return Drift.of(np.concatenate([end_errors([nominal], run, run.starts) for run in runs]))

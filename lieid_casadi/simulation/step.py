@@ -88,10 +88,8 @@ class _Forces:
     bias: ca.SX
 
 
-def step_function(
-    fit: Fit, drives: Sequence[Drive] | None, *, parametric: bool = False
-) -> ca.Function:
-    """Return the step ``(state, input, temperature, time, h) -> state``.
+def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
+    """Return the step ``(state, input, temperature, time, h, numbers) -> state``.
 
     The scheme is drift-kick-drift: forces act at x + h/2·ẋ, x being the angles of the motors and
     those of the links with play. Drives and viscous friction act on motors and are linearly
@@ -100,9 +98,9 @@ def step_function(
     (`lieid_casadi.simulation.step`). The level of dry friction follows from the load
     at the acceleration of the step before.
 
-    ``drives``: control laws: the input is the commanded position; None: it is the torque.
-    ``parametric``: a further input ``numbers`` (10 n + m + s,) are the link parameters,
-    coefficients and shape parameters in place of those of the fit; the widths of plays remain.
+    ``drives``: control laws: the input is the commanded position; None: it is the torque. The
+    ``numbers`` (10 n + m + s,) are link parameters, coefficients and shape parameters; the widths
+    of plays are those of the fit.
 
     Returns
     -------
@@ -110,9 +108,9 @@ def step_function(
         ``state`` is [x; ẋ; ẍ; set-valued forces; states of effects with memory].
     """
     model, n, x = fit.model, fit.model.n, Coordinates.of(fit)
-    own = np.concatenate([fit.parameters, fit.shapes])
-    numbers = ca.SX.sym("numbers", len(own)) if parametric else ca.SX(ca.DM(own))
-    links, effects, shapes = ca.vertsplit(numbers, [0, 10 * n, len(fit.parameters), len(own)])
+    counts = [0, 10 * n, len(fit.parameters), len(fit.parameters) + len(fit.shapes)]
+    numbers = ca.SX.sym("numbers", counts[-1])
+    links, effects, shapes = ca.vertsplit(numbers, counts)
     values = Values(links, effects, shapes, False, fit.temperature_mean)
     sign = ca.SX.sym("sign", n)
     error = None if drives is None else ca.SX.sym("error", n)
@@ -154,8 +152,8 @@ def step_function(
     ]  # fmt: skip
     result = ca.substitute(ca.vertcat(*after), torque.load, load)
     state = ca.vertcat(start, speed, before, held, torque.states)
-    inputs = [state, given, torque.temperature, torque.time, h, *([numbers] if parametric else [])]
-    names = ["state", "input", "temperature", "time", "h", "numbers"][: len(inputs)]
+    inputs = [state, given, torque.temperature, torque.time, h, numbers]
+    names = ["state", "input", "temperature", "time", "h", "numbers"]
     return ca.Function("step", inputs, [ca.densify(result)], names, ["after"], {"cse": True})
 
 

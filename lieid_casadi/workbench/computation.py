@@ -34,7 +34,6 @@ from lieid_casadi.model import Model
 from lieid_casadi.premises import PremiseCheck
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.report import comparison_report, fit_report
-from lieid_casadi.simulation import window_drift
 from lieid_casadi.workbench.arm import ArmMotion, arm_motion
 from lieid_casadi.workbench.evaluation import (
     EffectCurve,
@@ -193,10 +192,8 @@ class Computation:
         if kind == "fit":
             return "fit.json", content_of(fit)
         if kind == "report":
-            report("simulation", 0.3)
-            drift = window_drift(fit, test) if test else None
             report("report", 0.6)
-            page = comparison_report(fit, compare(fit, test), drift) if test else fit_report(fit)
+            page = comparison_report(fit, compare(fit, test)) if test else fit_report(fit)
             return "report.html", page.encode(errors="replace")
         if kind in ("urdf", "mjcf") and fit.method != "feasible":
 

@@ -85,17 +85,15 @@ def test_an_arm_at_rest_that_is_pushed_has_an_event_and_no_change(fit):
     assert (contact.kind, standstill.kind) == ("contact", "standstill")
     assert contact.start == pytest.approx(4.9, abs=0.25)
     assert contact.end == pytest.approx(6.0, abs=0.25)
-    np.testing.assert_allclose(contact.force, FORCE, atol=0.25 * np.linalg.norm(FORCE))
     assert standstill.joints == tuple(range(7))
     assert found.to_dict()["events"][0] == {
         "kind": "contact", "recording": "at rest", "from": contact.start, "to": contact.end,
         "joints": [j + 1 for j in contact.joints], "peak": contact.peak,
-        "force": list(contact.force), "sentence": contact.sentence,
+        "sentence": contact.sentence,
     }  # fmt: skip
     assert contact.sentence in found.sentence
     assert np.isnan(found.baseline["rms_test_moving"]).all()
     assert "Dropout" not in str([type(warning).__name__ for warning in found.warnings])
-    assert "N on the tool" in contact.sentence
 
 
 def test_a_push_in_motion_is_left_out(fit):
@@ -103,7 +101,6 @@ def test_a_push_in_motion_is_left_out(fit):
     (kept,), (event,) = leave_out_events(fit, [pushed(run, 5.0, 5.8)])
     assert event.kind == "contact"
     assert 4.7 < event.start < event.end < 6.1
-    np.testing.assert_allclose(event.force, FORCE, atol=0.25 * np.linalg.norm(FORCE))
     outside = (run.t < event.start - 0.1) | (run.t > event.end + 0.1)
     np.testing.assert_array_equal(kept.tau, run.tau[outside])
 

@@ -10,7 +10,10 @@ from drives.commanded import LAWS, TWO_LINK, commanded, measured
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import missing
+from lieid_casadi.diagnosis.folds import folds_of, places
+from lieid_casadi.diagnosis.motion import UnseenMotion
+from lieid_casadi.diagnosis.result import motion_table
+from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.effects.backlash import place_in_play
 from lieid_casadi.effects.command_delay import held_and_late
 from lieid_casadi.effects.registry import make
@@ -272,8 +275,47 @@ def test_rotor_inertia_is_a_default_effect_where_torque_is_that_of_a_law(runs):
 def test_an_effect_without_which_the_arm_moves_as_well_is_not_added(runs, monkeypatch):
     """The motion of an arm under commands counts, not the torque of its law alone."""
     train, test = (with_torque(delayed(run)) for run in runs)
-    worse = MotionGain(np.zeros(2), np.zeros(2), -0.1, 0.01)
-    monkeypatch.setattr(missing, "motion_gain", lambda before, after, recordings: worse)
+    doubtful = MotionGain(np.ones(2), np.ones(2), 0.1, 0.06, 1.0)
+    monkeypatch.setattr(UnseenMotion, "gain", lambda self, before, after: doubtful)
     found = lieid.diagnose(lieid.Model(ROBOT, BASE), train, test)
     assert not found.steps
-    assert "the simulated motion is no better with it" in dict(found.rejected).values()
+    reasons = " ".join(dict(found.rejected).values())
+    assert "is no better with it (its squared error falls by 10.0 ± 6.0 %)" in reasons
+
+
+@pytest.mark.slow
+def test_errors_in_degrees_stand_beside_those_in_newton_metres(runs):
+    train = with_torque(with_deadband(runs[0]))
+    found = lieid.diagnose(lieid.Model(ROBOT, BASE), train, method="feasible")
+    (step,) = [s for s in found.steps if s.effect == "deadband"]
+    assert step.motion.after[1] < 0.7 * step.motion.before[1]
+    assert step.motion.fall > 2.0 * step.motion.std
+    assert found.to_dict()["steps"][0]["motion"]["before"] == list(found.steps[0].motion.before)
+    degrees = np.degrees(found.motion.after)
+    shown = motion_table(found).rows[-1]
+    np.testing.assert_allclose(shown[1:3], degrees)
+    np.testing.assert_allclose(shown[3], np.sqrt(np.mean(degrees**2)))
+    assert f"the simulated motion is {np.degrees(step.motion.after[1]):.3g}°" in found.sentence
+
+
+def test_motion_is_judged_by_coefficients_that_its_data_did_not_determine(runs):
+    """Friction that is larger in one held-out part changes the fit, but not that without it."""
+    train = with_torque(runs[0])
+
+    def judged(recording):
+        fit = lieid.identify(lieid.Model(ROBOT, BASE), recording, method="ols", processing=CUTOFF)
+        rows = Rows.of(fit, process([recording], fit.processing), with_candidates=False)
+        folds = folds_of(rows, rows.residual, 10)
+        return fit, rows, UnseenMotion.of(rows, folds)._fits_without(fit)[4]
+
+    fit, rows, without = judged(train)
+    time = rows.segments[0].filtered_time[places(rows, 10)[0] == 4]
+    inside = (train.t >= time[0]) & (train.t <= time[-1])
+    more = 0.3 * np.abs(train.tau[:, 1]).max() * np.sign(train.dq[:, 1]) * inside
+    other, _, other_without = judged(replace(train, tau=train.tau + np.outer(more, [0.0, 1.0])))
+    coulomb = [c.label for c in fit.model.columns].index("coulomb.f_c:2")
+    whole, held_out = (
+        abs(b.effect_coefficients[coulomb] - a.effect_coefficients[coulomb])
+        for a, b in ((fit, other), (without, other_without))
+    )
+    assert held_out < 0.3 * whole

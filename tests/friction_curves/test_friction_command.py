@@ -49,36 +49,15 @@ def test_given_effects_and_a_fit_of_the_arm(run, tmp_path):
     assert content["curve"]["load_source"] == "model"
 
 
-def test_the_papers_model(run, tmp_path):
-    out, effects = (
-        tmp_path / "f.json",
-        "viscous,viscous_polynomial,stribeck/two_width,load_friction/paper",
-    )
-    assert lieid_friction(run, "--joint", 1, "--effects", effects, "--json", out) == 0
-    assert len(json.loads(out.read_text())["fit"]["parameters"]) == 10
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--joint", "3"], "--joint 3: two_link has joints 1 to 2"),
-        (["--joint", "2"], "joint 2 never moves"),
         (["--joint", "1", "--effects", "coulom"], "unknown effect 'coulom'"),
         (["--joint", "1", "--effects", "warm_up"], "is not friction of speed and load"),
-        (["--joint", "one"], "invalid int value"),
-        ([], "--joint"),
     ],
 )
 def test_bad_input_is_one_line(run, tmp_path, refusal, words, message):
     out = tmp_path / "f.json"
     refusal(["friction", "two_link", run, *words, "--json", out], message)
     assert not out.exists()
-
-
-def test_one_direction_is_refused_with_the_file(tmp_path, refusal):
-    t = np.arange(0.0, 8.0, 0.004)
-    q, dq = (np.zeros((len(t), 2)) for _ in range(2))
-    q[:, 0], dq[:, 0] = 0.2 * t, 0.2
-    measured(t, (q, dq, 0 * q)).save(tmp_path / "out.csv")
-    message = "out.csv: joint 1 moves forward only"
-    refusal(["friction", "two_link", tmp_path / "out.csv", "--joint", 1], message)

@@ -24,7 +24,6 @@ from lieid_casadi import plant
 from lieid_casadi.errors import (
     BoundWarning,
     EffectError,
-    ExtrapolationWarning,
     NotDissipativeWarning,
     UnidentifiableWarning,
 )
@@ -47,6 +46,10 @@ def fit(curve):
 
 
 def test_parameters_of_the_plant_are_found(fit):
+    truth = np.array([COULOMB, VISCOUS, EXTRA, LOAD, WIDTH])
+    found = np.concatenate([fit.coefficients, fit.shapes])
+    assert np.abs((found - truth) / fit.std).max() < 4.0
+    assert np.all(fit.std < 0.1 * truth)
     values = {row["name"]: row["value"] for row in fit.parameter_table()}
     assert values["coulomb.f_c"] == pytest.approx(COULOMB, abs=0.05)
     assert values["viscous.f_v"] == pytest.approx(VISCOUS, rel=0.03)
@@ -55,13 +58,6 @@ def test_parameters_of_the_plant_are_found(fit):
     assert values["load_friction.f_tau"] == pytest.approx(LOAD, rel=0.05)
     assert fit.rms < 0.01
     assert fit.correlation > 0.999
-
-
-def test_standard_deviations_cover_the_true_parameters(fit):
-    truth = np.array([COULOMB, VISCOUS, EXTRA, LOAD, WIDTH])
-    values = np.concatenate([fit.coefficients, fit.shapes])
-    assert np.abs((values - truth) / fit.std).max() < 4.0
-    assert np.all(fit.std < 0.1 * truth)
 
 
 def test_friction_at_any_speed_and_load(fit):
@@ -127,17 +123,7 @@ def test_negative_friction_is_reported(curve, fit):
     lower = dataclasses.replace(curve, friction=curve.friction - 2.5)
     found = fit_friction(lower, "coulomb,viscous").warnings
     assert any(isinstance(w, NotDissipativeWarning) for w in found)
-    assert not any(
-        isinstance(w, NotDissipativeWarning | ExtrapolationWarning) for w in fit.warnings
-    )
-
-
-def test_extreme_friction_below_the_slowest_run_is_reported(curve):
-    steep = dataclasses.replace(curve, friction=1.0 + 3.0 * np.exp(-((curve.speed / 0.04) ** 2)))
-    fit = fit_friction(steep, "coulomb,stribeck")
-    assert fit.friction(1e-3)[0] == pytest.approx(4.0, rel=0.02)
-    (found,) = [w for w in fit.warnings if isinstance(w, ExtrapolationWarning)]
-    assert "below the slowest measured speed of 0.0349 rad/s" in str(found)
+    assert not any(isinstance(w, NotDissipativeWarning) for w in fit.warnings)
 
 
 @pytest.mark.parametrize(

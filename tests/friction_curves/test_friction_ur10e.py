@@ -5,7 +5,6 @@ import pytest
 from real_arms import UR10E, needs
 
 import lieid_casadi as lieid
-from lieid_casadi.errors import LoadMismatchWarning
 from lieid_casadi.friction_curves import fit_friction, friction_curve
 from lieid_casadi.recording import Processing
 
@@ -58,11 +57,3 @@ def test_friction_depends_on_the_load(robot, alone, whole):
     assert plain.rms > 4 * loaded.rms
     middle = np.abs(curve.speed - 0.5) < 0.05
     assert np.ptp(curve.friction[middle]) > 6.0
-
-
-def test_wrong_nominal_inertias_are_reported(robot, alone, whole):
-    nominal = friction_curve(robot, alone, 1, processing=CUTOFF)
-    assert any(isinstance(w, LoadMismatchWarning) for w in nominal.warnings)
-    fitted = friction_curve(whole, alone, 1, processing=CUTOFF)
-    assert fitted.load_error < 1.0
-    assert not any(isinstance(w, LoadMismatchWarning) for w in fitted.warnings)

@@ -61,12 +61,12 @@ def test_motion_is_that_of_the_plant():
 
 
 def test_a_link_stays_within_its_play():
-    from lieid_casadi.simulation.runs import Integrator, runs_of
+    from lieid_casadi.simulation.runs import motions, runs_of
 
     arm, run = arm_and_run((1,), seconds=1.8)
     fit = true_fit(arm, [0.0, PLAY])
     (part,) = runs_of(fit, run, 1.0, "command")
-    path = Integrator(fit, "command")._paths(part, np.zeros(1, dtype=int), len(part.segment) - 1)
+    path = motions([fit], part, np.zeros(1, dtype=int), length=len(part.segment) - 1)
     twist = path[:, 0, 1] - path[:, 0, 2]
     assert np.abs(twist).max() < 0.5 * PLAY + 1e-3
     assert np.ptp(twist) > 0.9 * PLAY

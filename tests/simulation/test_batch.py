@@ -40,9 +40,9 @@ def test_without_a_compiler_the_motion_is_the_same(monkeypatch):
     q = np.full((5, 2), 0.3)
     compiled = simulate_batch(fit, q, 0 * q, inputs, interval=0.002)
     monkeypatch.setattr(kernels.CompilerFailure, "reason", "reported before")
-    lieid.simulation.batch._COMPILED.clear()
+    lieid.simulation.integration._STEPS.clear()
     machine = simulate_batch(fit, q, 0 * q, inputs, interval=0.002)
-    lieid.simulation.batch._COMPILED.clear()
+    lieid.simulation.integration._STEPS.clear()
     np.testing.assert_allclose(compiled, machine, rtol=0, atol=1e-12)
 
 
@@ -61,18 +61,6 @@ def test_delays_between_two_steps_act_in_proportion():
     first, middle, last = path[-1]
     assert np.abs(last - first).min() > 1e-6
     np.testing.assert_allclose(middle - first, 0.5 * (last - first), rtol=0.06)
-
-
-def test_every_motion_may_have_an_arm_of_its_own():
-    fit, inputs = fit_of(EFFECTS), inputs_of(30, 130)
-    heavy = replace(fit, parameters=fit.parameters * 1.2)
-    q = np.full((130, 2), 0.3)
-    fits = [fit, heavy] * 65
-    mixed = simulate_batch(fits, q, 0 * q, inputs, interval=0.002, threads=2)
-    alone = [simulate_batch(f, q, 0 * q, inputs, interval=0.002, threads=1) for f in (fit, heavy)]
-    for k in (0, 1, 64, 129):
-        np.testing.assert_array_equal(mixed[0][:, k], alone[k % 2][0][:, k])
-        assert np.abs(mixed[0][-1, k] - alone[1 - k % 2][0][-1, k]).max() > 1e-5
 
 
 def test_shapes_and_models_that_do_not_fit_are_refused():

@@ -13,7 +13,7 @@ from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ModelError, RecordingError
 from lieid_casadi.exporters.mjcf import mjcf_text
 from lieid_casadi.robot.drive import Drive
-from lieid_casadi.simulation import motion_gain, window_drift
+from lieid_casadi.simulation import motion_gain
 from lieid_casadi.simulation.simulate import Drift
 
 ROBOT = lieid.robots.two_link().with_drives(Drive(stiffness=60.0, damping=4.0))
@@ -75,32 +75,12 @@ def test_the_exported_motion_does_not_depend_on_the_step(damping):
     assert errors[0] < 0.2 * errors[1]
 
 
-def test_window_drift_is_that_of_simulate():
-    fit = fit_of("coulomb,viscous,armature")
-    recording = in_mujoco(fit, seconds=3.0)
-    beside = window_drift(fit, recording, window=0.5)
-    complete = lieid.simulate(fit, recording, window=0.5)
-    np.testing.assert_allclose(beside.drift.rms, complete.drift.rms)
-    assert (beside.windows, beside.under, beside.reason) == (5, "command", "")
-    assert window_drift(fit, recording, window=0.5, most=2).windows == 2
-
-
 def test_the_standard_error_is_the_scatter_of_the_rms():
     random = np.random.default_rng(0)
     drifts = [Drift.of(random.normal(size=(40, 1))) for _ in range(2000)]
     scatter = np.std([drift.rms[0] for drift in drifts])
     assert np.mean([drift.std[0] for drift in drifts]) == pytest.approx(scatter, rel=0.1)
     assert np.isnan(Drift.of(np.ones((1, 2))).std).all()
-
-
-def test_window_drift_states_why_there_is_none():
-    fit = fit_of("coulomb")
-    recording = in_mujoco(fit, seconds=2.0)
-    assert "has the length of a window of 100 s" in window_drift(fit, recording, window=100).reason
-    fit = replace(fit, parameters=fit.parameters * np.r_[-np.ones(20), 1.0, 1.0])
-    none = window_drift(fit, recording)
-    assert "not positive definite" in none.reason
-    assert none.to_dict()["rms"] == [None, None]
 
 
 def test_a_joint_sticks_under_dry_friction():
@@ -188,7 +168,7 @@ def test_motion_gain_compares_two_fits_within_the_same_windows():
     gain, loss = (
         motion_gain(*pair, recording, window=0.5) for pair in ((wrong, fit), (fit, wrong))
     )
-    drift = window_drift(fit, recording, window=0.5).drift
+    drift = lieid.simulate(fit, recording, window=0.5).drift
     np.testing.assert_allclose(gain.after, drift.rms)
     np.testing.assert_allclose(gain.before, loss.after)
     assert gain.fall > 3.0 * gain.std > 0.0 > loss.fall

@@ -1,0 +1,111 @@
+"""The motion of an arm under commands that a fit predicts on data which the fit did not see.
+
+Of such an arm the motion counts, and its torque is that of a control law, not measured. Windows of
+the training recordings, each within one held-out part, are simulated from measured states with the
+coefficients of the effects that follow from the data outside of that part (one step of Newton's
+method from the fit; link and shape parameters remain). An effect is judged by the windows' ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lieid_casadi.arrays import Array
+from lieid_casadi.diagnosis.folds import Folds, places
+from lieid_casadi.diagnosis.rows import Indices, Rows
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.prediction import torque_along
+from lieid_casadi.identification.regression.segment_columns import effects_along
+from lieid_casadi.simulation import MotionGain
+from lieid_casadi.simulation.runs import (
+    Run,
+    end_errors,
+    require_positive_mass_matrix,
+    run_of,
+    with_coefficients,
+)
+
+LONGEST_WINDOW = 1.0  # s
+MOST_WINDOWS = 60
+RIDGE = 1e-3  # of a coefficient's information: of a joint that moves in one part alone, it remains
+
+
+@dataclass(frozen=True, eq=False)
+class UnseenMotion:
+    """Windows of the training recordings: of each run their starts and held-out parts (W,)."""
+
+    rows: Rows
+    folds: Folds
+    window: float  # s
+    windows: tuple[tuple[Run, Indices, Indices], ...]
+
+    @classmethod
+    def of(cls, rows: Rows, folds: Folds) -> UnseenMotion | None:
+        """Return the windows that lie within one part each; None without commands or any."""
+        fit, segments = rows.fit, rows.segments
+        if fit.model.robot.drives is None or any(s.recording.command is None for s in segments):
+            return None
+        part, times = places(rows, folds.count)
+        edges = times[np.flatnonzero(np.diff(part)) + 1]  # half a stretch: each has whole windows
+        window = min(LONGEST_WINDOW, 0.5 * float(np.median(np.diff(edges))))
+        found = []
+        for k, segment in enumerate(segments):
+            run = run_of(fit, segment, window, "command")
+            starts, own = run.starts, part[rows.segment_of == k]
+            begin, end = (
+                own[np.searchsorted(segment.filtered_time, segment.t[at]).clip(0, len(own) - 1)]
+                for at in (starts, starts + run.per_window)
+            )
+            found.append((run, starts[begin == end], begin[begin == end]))
+        total = sum(len(starts) for _, starts, _ in found)
+        if not total:
+            return None
+        every = -(-total // MOST_WINDOWS)
+        return cls(rows, folds, window, tuple((r, s[::every], p[::every]) for r, s, p in found))
+
+    def gain(self, before: Fit, after: Fit) -> MotionGain:
+        """Compare two fits on the windows; a `LieidError` states why one cannot be simulated."""
+        return MotionGain.of(self._errors(before), self._errors(after), self.window)
+
+    def _errors(self, fit: Fit) -> Array:
+        """Return simulated minus measured positions (W, n) at the windows' ends."""
+        require_positive_mass_matrix(fit, [run for run, _, _ in self.windows])
+        fits = self._fits_without(fit)
+        return np.concatenate(
+            [end_errors([fits[k] for k in p], run, s) for run, s, p in self.windows if len(s)]
+        )
+
+    def _fits_without(self, fit: Fit) -> list[Fit]:
+        """Return the fit without each of the held-out parts."""
+        rows, parts = self.rows, self.folds.count
+        columns, residual = [], []
+        for s in rows.segments:
+            assert s.tau is not None  # that of the drives' law
+            own = effects_along(fit.compiled, s, fit.shapes, fit.parameters)
+            columns.append(s.filter(own.reshape(len(s), -1)).reshape(-1, *own.shape[1:]))
+            torque = torque_along(fit.compiled, s, fit.parameters, fit.shapes)
+            residual.append(s.filter(s.tau - torque))
+        line, rest = np.concatenate(columns), np.concatenate(residual)
+        errors = [rest[run.all, j] for j, run in enumerate(rows.runs)]
+        count, first = line.shape[2], 0
+        whole, gram, score = np.zeros((count, count)), np.zeros((parts, count, count)), []
+        for j, weight in enumerate(rows.weights(rows.spread(errors))):
+            a, r = line[rows.runs[j].all, j] * weight[:, None], errors[j] * weight
+            out = self.folds.out[:, first : first + len(r)].astype(float)
+            first += len(r)
+            whole += a.T @ a
+            gram += np.einsum("kr,ra,rb->kab", out, a, a, optimize=True)
+            score.append(out @ (a * r[:, None]))
+        size = np.sqrt(np.diag(whole)) + 1e-12
+        lower, upper = (
+            np.array([getattr(c, end) for c in fit.model.columns]) for end in ("lower", "upper")
+        )
+        found = []
+        for own, slope in zip(gram, sum(score, np.zeros((parts, count))), strict=True):
+            outside = (whole - own) / np.outer(size, size) + RIDGE * np.eye(count)
+            change = np.linalg.solve(outside, slope / size) / size
+            values = np.clip(fit.effect_coefficients - change, lower, upper)
+            found.append(with_coefficients(fit, values))
+        return found
