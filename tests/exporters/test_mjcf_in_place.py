@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
-from exporters.c_arms import made_fit, torque_of
+from exporters.c_arms import made_fit
 from exporters.test_mjcf_export import inverse
 
 import lieid_casadi as lieid
@@ -186,34 +186,3 @@ def test_a_model_that_cannot_be_edited_is_written_anew(tmp_path, change, reason)
     files, notes = mjcf_files(numbers_of(robot))
     assert list(files) == ["bench.xml"]
     assert reason in notes[0]
-
-
-def arm_of(side, y):
-    """Two links of an arm beside another one."""
-    link = '<inertial pos="0.1 0 0" mass="{}" diaginertia="0.01 0.01 0.01"/>'
-    return (
-        f'<body name="{side}_upper" pos="0 {y} 0"><joint name="{side}_1" axis="0 1 0"/>'
-        f'{link.format(1.0)}<body name="{side}_fore" pos="0.3 0 0"><joint name="{side}_2" '
-        f'axis="0 1 0"/>{link.format(0.5)}</body></body>'
-    )
-
-
-def test_two_arms_on_one_base_are_written_one_after_the_other(tmp_path):
-    """The second chain is read from the export of the first, which has the whole model."""
-    path = tmp_path / "arms.xml"
-    arms = f"{arm_of('left', 0.2)}{arm_of('right', -0.2)}"
-    path.write_text(f'<mujoco model="two"><worldbody>{arms}</worldbody></mujoco>')
-    fits = []
-    for side, factors in (("left", (1.3, 1.1)), ("right", (0.9, 0.7))):
-        robot = lieid.Robot.load(path, tip=f"{side}_fore")
-        assert [joint.name for joint in robot.joints] == [f"{side}_1", f"{side}_2"]
-        fits.append(numbers_of(robot, "viscous", factors))
-        path, notes = exported(fits[-1], tmp_path / side)
-        assert notes == []
-    model = mujoco.MjModel.from_xml_path(str(path))
-    q, dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 4))
-    expected = [
-        torque_of(fit, *(x[None, part] for x in (q, dq, ddq)))[0]
-        for fit, part in zip(fits, (slice(0, 2), slice(2, 4)), strict=True)
-    ]
-    np.testing.assert_allclose(inverse(model, q, dq, ddq), np.concatenate(expected), atol=1e-9)
