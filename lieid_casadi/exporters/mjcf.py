@@ -191,7 +191,8 @@ def _add_joint(parent: Element, joint: Joint, name: str, passive: PassiveTorques
     limits = joint.limits
     if math.isfinite(limits.position_lower) and math.isfinite(limits.position_upper):
         attributes["range"] = vector([limits.position_lower, limits.position_upper])
-    attributes |= {key: number(value) for key, value in vars(passive).items() if value}
+    stated = {key: value for key, value in vars(passive).items() if value}
+    attributes |= {key: vector(np.atleast_1d(value)) for key, value in stated.items()}
     _add(parent, "joint", **attributes)
 
 

@@ -222,7 +222,12 @@ class _Model:
         if not own:
             raise CannotEdit(f"body {body!r} has no joint of its own")
         place = (named or own)[0]
-        values = {key: value for key, value in vars(passive).items() if value is not None}
+        values = {
+            key: value
+            for key, value in vars(passive).items()
+            if value is not None
+            and not (key.startswith("sol") and self._stated(place, key, "joint"))  # the user's own
+        }
         sliding = self._stated(place, "type", "joint") == "slide"
         if "springref" in values and self._degrees and not sliding:
             values["springref"] = math.degrees(values["springref"])

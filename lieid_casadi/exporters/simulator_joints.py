@@ -24,6 +24,7 @@ UNKNOWN_SPEED = 2.0  # rad/s, velocity limit of a robot that states none
 #: Stiffness of the spring that produces a constant torque, in parts of that torque per radian: the
 #: torque changes by this share over a radian.
 WEAK_SPRING = 1e-6
+FRICTION_IMPEDANCE = (0.99, 0.99, 0.001)  # solimpfriction: 0.01 of the acceleration is not resisted
 WARM = 1e6  # s since the start, at which warm-up has ended
 EXACT = 1e-9  # relative error of friction of the linear form
 # coefficients that simulators have an attribute for
@@ -131,6 +132,8 @@ class PassiveTorques:
     frictionloss: float
     stiffness: float | None
     springref: float | None
+    solreffriction: tuple[float, float] | None = None
+    solimpfriction: tuple[float, float, float] | None = None
 
 
 def passive_torques(fit: Fit, index: int, friction: LinearFriction) -> PassiveTorques:
@@ -177,12 +180,18 @@ def actuator_law(fit: Fit, index: int) -> ActuatorLaw | None:
 def for_steps(
     passive: PassiveTorques, law: ActuatorLaw | None, step: float, integrator: str
 ) -> PassiveTorques:
-    """Return passive torques with which a joint under commands has its inertia in steps (s).
+    """Return passive torques with which a joint has its inertia and dry friction in steps (s).
 
-    MuJoCo takes damping from the velocity at the end of a step, which adds half a step times the
-    damping to the inertia: M·q̈ = f − D·(q̇ + h/2·q̈). Its implicit integrators do so with an
+    MuJoCo's friction loss is a constraint with a time constant of 20 ms, by which a joint at rest
+    creeps and a moving one lags: it gets the shortest one that is stable. MuJoCo takes damping from
+    the velocity at the end of a step, which adds half a step times the damping to the inertia of a
+    joint under commands: M·q̈ = f − D·(q̇ + h/2·q̈). Its implicit integrators do so with an
     actuator's kv, too, which Euler's takes from the velocity at the start.
     """
+    if passive.frictionloss:
+        passive = replace(
+            passive, solreffriction=(2.0 * step, 1.0), solimpfriction=FRICTION_IMPEDANCE
+        )
     if law is None or integrator == "RK4":
         return passive
     added = passive.damping + (-law.damping if integrator == "Euler" else law.damping)

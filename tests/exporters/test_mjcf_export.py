@@ -1,5 +1,6 @@
 """Exported MuJoCo models have the dynamics of the fit."""
 
+import re
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -78,6 +79,22 @@ def test_coulomb_friction_is_frictionloss():
     for j in range(7):
         assert model.dof_frictionloss[j] == pytest.approx(numbers[f"coulomb.f_c:{j + 1}"], rel=1e-9)
         assert model.dof_damping[j] == pytest.approx(numbers[f"viscous.f_v:{j + 1}"], rel=1e-9)
+
+
+def test_dry_friction_holds_a_load():
+    """With MuJoCo's default constraint a joint creeps under a torque below its friction loss."""
+    text, _ = mjcf_text(made_fit(lieid.robots.two_link(), "coulomb"))
+    default = re.sub(r' sol(ref|imp)friction="[^"]*"', "", text)
+    creep = []
+    for source in (text, default):
+        model = mujoco.MjModel.from_xml_string(source)
+        model.opt.gravity[:] = 0.0
+        data = mujoco.MjData(model)
+        data.qfrc_applied[1] = 0.8 * model.dof_frictionloss[1]
+        for _ in range(500):
+            mujoco.mj_step(model, data)
+        creep.append(abs(data.qvel[1]))
+    assert creep[0] < 0.03 * creep[1]
 
 
 def test_other_friction_is_approximated_and_the_error_stated():

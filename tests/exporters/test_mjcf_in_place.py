@@ -24,7 +24,8 @@ ARM = """<?xml version="1.0"?>
     <default class="arm">
       <joint axis="0 0 1" damping="0.6" armature="0.03"/>
       <position kp="40" dampratio="1" forcerange="-9 9"/>
-      <default class="wrist"><joint frictionloss="0.05"/><position kp="20"/></default>
+      <default class="wrist">
+        <joint frictionloss="0.05" solreffriction="0.03 1"/><position kp="20"/></default>
     </default>
     <default class="visual"><geom contype="0" conaffinity="0" group="2"/></default>
   </default>
@@ -67,7 +68,15 @@ HAND = """<mujoco>
 #: What an export may change, by tag.
 CHANGED = {
     "inertial": {"pos", "mass", "fullinertia", "diaginertia", "quat"},
-    "joint": {"armature", "damping", "frictionloss", "stiffness", "springref"},
+    "joint": {
+        "armature",
+        "damping",
+        "frictionloss",
+        "stiffness",
+        "springref",
+        "solreffriction",
+        "solimpfriction",
+    },
     "position": {"kp", "kv", "dampratio", "forcerange", "delay", "nsample"},
 }
 EFFECTS = "armature,coulomb,viscous,command_delay:2,position_spring:1,offset:1"
@@ -128,6 +137,7 @@ def test_motion_is_that_of_the_fit(robot, tmp_path, saved):
         fit = lieid.Fit.load(tmp_path / "fit.json")
     path, notes = exported(fit, tmp_path / "out")
     model = mujoco.MjModel.from_xml_path(str(path))
+    np.testing.assert_allclose(model.dof_solref[:2], [[0.008, 1.0], [0.03, 1.0]])  # elbow: stated
     assert any("command delays" in note for note in notes)
     law, own = lieid.servo_drive("sts3215"), {}
     for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
