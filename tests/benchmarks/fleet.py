@@ -23,7 +23,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:1] = [str(ROOT / "tests"), str(ROOT)]  # tests/fleet, not this file
 
-from fleet.changing_fleet import FIRST_NIGHT, arms_of, write_simulated_fleet  # noqa: E402
+from benchmarks.changing_fleet import FIRST_NIGHT, arms_of, write_simulated_fleet  # noqa: E402
 
 from lieid_casadi.fleet.alarms import alarms_after  # noqa: E402
 from lieid_casadi.fleet.arm_history import read_arms  # noqa: E402

@@ -167,31 +167,19 @@ def test_files_of_another_user_are_not_loaded(fresh_process, monkeypatch, caplog
     assert f"it belongs to user {owner}" in caplog.text
 
 
-@pytest.mark.parametrize("source", ["not a library", "int lieid_shape[3];"])
-def test_a_library_of_valid_checksum_that_cannot_be_used_is_built_once(
-    fresh_process, monkeypatch, tmp_path, source
-):
+def test_a_library_that_cannot_be_used_is_built_once(fresh_process, monkeypatch, tmp_path):
     expected = gravity(two_link())
-    library, text = tmp_path / "other.so", tmp_path / "other.c"
-    text.write_text(source)
-    if "int" in source:
-        command = [os.environ.get("CC", "cc"), "-shared", "-fPIC", str(text), "-o", str(library)]
-        subprocess.run(command, check=True)
-    else:
-        library.write_text(source)
     names = libraries(fresh_process)
     # another path: the system's loader returns a path that is open in this process again
     monkeypatch.setenv("LIEID_CACHE_DIR", str(tmp_path / "other-cache"))
     for name in names:
-        cache.store(Path(name).stem, library.read_bytes())
+        cache.store(Path(name).stem, b"not a library")
     forget(monkeypatch)
-    built = []
-    build = kernels.build
+    built, build = [], kernels.build
     monkeypatch.setattr(kernels, "build", lambda *a: built.append(a) or build(*a))
-    arm = two_link()
-    np.testing.assert_array_equal(gravity(arm), expected)
-    assert isinstance(arm._evaluation("gravity"), CompiledEvaluation)
+    for _ in range(2):  # the second time the new libraries are in the cache
+        arm = two_link()
+        np.testing.assert_array_equal(gravity(arm), expected)
+        assert isinstance(arm._evaluation("gravity"), CompiledEvaluation)
+        forget(monkeypatch)
     assert len(built) == len(names)
-    forget(monkeypatch)
-    gravity(two_link())
-    assert len(built) == len(names)  # the new libraries are in the cache

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.compiled import compile, kernels
+from lieid_casadi.compiled import compile
 from lieid_casadi.compiled import compiler as compiler_module
 from lieid_casadi.compiled.batch_evaluation import MachineEvaluation
-from lieid_casadi.compiled.compiled_model import default_threads
 from lieid_casadi.compiled.compiler import available_targets, build, find_compiler
 
 Q = np.linspace(-1.0, 1.0, 40).reshape(20, 2)
@@ -57,20 +56,6 @@ def test_a_compiler_that_does_not_exist(fresh_process, monkeypatch, caplog):
 def test_bad_quoting_in_cc(fresh_process, monkeypatch, caplog, stated):
     monkeypatch.setenv("CC", stated)
     check_fallback(caplog, "$CC is", "No ")
-
-
-@pytest.mark.parametrize("stated", ["²", "0", "-3", "9" * 5000, "two"])
-def test_an_unusable_number_of_threads(monkeypatch, stated):
-    monkeypatch.setenv("LIEID_THREADS", stated)
-    assert default_threads() in (1, 2)
-
-
-def test_no_temporary_folder(fresh_process, monkeypatch, caplog, compiler):
-    def refuse(*_, **__):
-        raise FileNotFoundError(2, "No usable temporary directory found")
-
-    monkeypatch.setattr(kernels.tempfile, "TemporaryDirectory", refuse)
-    check_fallback(caplog, "No usable temporary directory")
 
 
 def test_a_failing_compiler(fresh_process, monkeypatch, tmp_path, caplog):

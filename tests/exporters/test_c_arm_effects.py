@@ -18,11 +18,6 @@ from lieid_casadi.robot.geometry import pose
 PANDA = lieid.robots.panda()
 FRICTION = "coulomb,viscous,offset,load_friction:2"
 EFFECTS = {
-    "base_tilt": "base_tilt",
-    "payload": "payload",
-    "external_wrench": "external_wrench",
-    "encoder_offset": "encoder_offset:2+4",
-    "torque_gain": "torque_gain:3+5",
     "bias_drift": "bias_drift:1",
     "all": "base_tilt,payload,external_wrench,encoder_offset:4,torque_gain:3,bias_drift:5",
 }

@@ -211,16 +211,6 @@ def test_a_result_array_may_be_an_argument(arm, motion):
     assert (q == apart).all()
 
 
-def test_a_motion_can_begin_again(tmp_path):
-    arm = Exported(ARMS["presliding"](), tmp_path / "arm")
-    q = np.array([[0.0, 0.0], [0.01, -0.02], [0.03, 0.01]])
-    motion = {"q": q, "dq": np.ones_like(q), "ddq": 0 * q, "temperature": 0 * q,
-              "time": np.arange(3.0)}  # fmt: skip
-    first, again = (arm.along(motion, {"friction": 1}, load=q)["friction"] for _ in range(2))
-    assert (first == again).all()
-    assert np.abs(first[0, :, 0] - first[2, :, 0]).max() > 1e-3  # z = 0 at first
-
-
 RUNTIME = {
     "lieid_expm1": (np.expm1, [-700.0, -3.0, -1.0, -0.5, -1e-9, 0.0, 1e-300, 1e-5, 0.7, 1.0, 30.0]),
     "lieid_log": (np.log, [5e-324, 1e-310, 1e-20, 0.3, 0.7071, 1.0, 1.0000001, 1.5, 4e9, 1e308]),

@@ -4,8 +4,7 @@ from datetime import UTC, date, datetime
 
 import numpy as np
 import pytest
-from fleet.simulated_fleet import fit_of, healthy_arm, recorded, robot_named
-from recording.bag_files import StoragePlugin, write
+from fleet.simulated_fleet import fit_of, healthy_arm, recorded
 
 from lieid_casadi import plant
 from lieid_casadi.errors import FleetError
@@ -76,23 +75,6 @@ def test_recordings_in_s3(s3_store, tmp_path, content):
     assert "no such file" in missing.reason
     with pytest.raises(FleetError, match=r"s3://other/\*: no file matches"):
         list_recordings("s3://other/*")
-
-
-def test_a_night_as_mcap(tmp_path, content):
-    arm = healthy_arm("two_link", 1)
-    recording = recorded("two_link", arm, motion_seed=3, seed=3, duration=DURATION)
-    names = [joint.name for joint in robot_named("two_link").joints]
-    start = 1_700_000_000_000_000_000
-    messages = [
-        ("/joint_states", start + round(t * 1e9), names, q, dq, tau, True)
-        for t, q, dq, tau in zip(recording.t, recording.q, recording.dq, recording.tau, strict=True)
-    ]
-    write(tmp_path / "bag", messages, StoragePlugin.MCAP)
-    (file,) = list_recordings(str(tmp_path / "bag/*.mcap"))
-    result = run_arm_night(night(file.location), content)
-    assert result.status == "done"
-    (friction,) = [p for p in result.parameters if (p.name, p.joint) == ("coulomb.f_c", 1)]
-    assert abs(friction.value - arm.friction.coulomb[0]) < 4.0 * friction.std
 
 
 @pytest.mark.parametrize(
