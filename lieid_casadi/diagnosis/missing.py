@@ -193,21 +193,10 @@ class MissingEffects:
         What differs between the recordings is part of every error; beside it an effect must lower
         the error at all.
         """
-        self.gains = {}
         for found in reversed(accepted):
-            label, others = found.placement.label, [a for a in accepted if a is not found]
             if not found.determined(fit, self.options.gain_deviations):
-                self.rejected[label] = "the data do not determine its coefficients"
-                return others
-            gain = self._motion_gain(self._fitted(others), fit)
-            if gain is not None:
-                if not gain.fall > self.options.gain_deviations * gain.std:
-                    self.rejected[label] = (
-                        "the simulated motion on held-out data is no better with it (its squared "
-                        f"error falls by {100 * gain.fall:.1f} ± {100 * gain.std:.1f} %)"
-                    )
-                    return others
-                self.gains[label] = gain
+                self.rejected[found.placement.label] = "the data do not determine its coefficients"
+                return [a for a in accepted if a is not found]
         model, left = FinalModel.of(fit, self.segments, None), list(accepted)
         while left:
             gone = [a.placement for a in accepted if a not in left]
@@ -219,7 +208,24 @@ class MissingEffects:
                 "in the final model it lowers the cross-validated error by only "
                 f"{100 * max(falls[worst], 0.0):.1f} %"
             )
-        return left
+        return left if len(left) < len(accepted) else self._moving_better(fit, left)
+
+    def _moving_better(self, fit: Fit, accepted: list[Accepted]) -> list[Accepted]:
+        """Return the effects without one by which an arm under commands moves no better."""
+        self.gains = {}
+        for found in reversed(accepted if self.unseen is not None else []):
+            label, others = found.placement.label, [a for a in accepted if a is not found]
+            gain = self._motion_gain(self._fitted(others), fit)
+            if gain is None:
+                continue
+            if not gain.fall > self.options.gain_deviations * gain.std:
+                self.rejected[label] = (
+                    "the simulated motion on held-out data is no better with it (its squared "
+                    f"error falls by {100 * gain.fall:.1f} ± {100 * gain.std:.1f} %)"
+                )
+                return others
+            self.gains[label] = gain
+        return accepted
 
     def _motion_gain(self, before: Fit, after: Fit) -> MotionGain | None:
         """Compare the motion that two fits predict on held-out data; None if that cannot be done.

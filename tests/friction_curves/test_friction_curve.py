@@ -151,14 +151,3 @@ def test_bad_requests(sweep):
         friction_curve(ROBOT, mute, 0)
     with pytest.raises(ModelError, match=r"2 joints; robot .* has 7"):
         friction_curve(lieid.robots.panda(), sweep, 0)
-
-
-def test_results_are_written_and_drawn(curve):
-    import json
-
-    content = json.loads(json.dumps(curve.to_dict(), allow_nan=False))
-    assert content["joint"] == 1
-    assert len(content["points"]) == len(curve)
-    figure = curve.plot()
-    assert len(figure.axes) == 2  # the curve and the scale of loads
-    assert "<td>" in curve._repr_html_()

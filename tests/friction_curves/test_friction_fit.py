@@ -1,7 +1,6 @@
 """Friction models fitted to curves."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -14,12 +13,10 @@ from friction_curves.friction_plant import (
     SPEEDS,
     VISCOUS,
     WIDTH,
-    excitation,
     friction,
     measured,
 )
 
-import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import (
     BoundWarning,
@@ -28,7 +25,6 @@ from lieid_casadi.errors import (
     UnidentifiableWarning,
 )
 from lieid_casadi.friction_curves import fit_friction, friction_curve
-from lieid_casadi.friction_curves.friction_fit import steady_columns
 
 TRUTH = "coulomb,viscous,stribeck,load_friction"
 
@@ -139,28 +135,3 @@ def test_negative_friction_is_reported(curve, fit):
 def test_effects_must_be_of_the_joint(curve, effects, message):
     with pytest.raises(EffectError, match=message):
         fit_friction(curve, effects)
-
-
-def test_fits_are_written_and_drawn(fit):
-    content = json.loads(json.dumps(fit.to_dict(), allow_nan=False))
-    assert content["effects"] == TRUTH.split(",")
-    assert len(fit.plot().axes[0].get_lines()) >= 3
-    assert "RMS" in fit._repr_html_()
-
-
-@pytest.fixture(scope="module")
-def whole():
-    model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1,load_friction:1")
-    return lieid.identify(model, [excitation(0), excitation(1)], processing=CUTOFF)
-
-
-def friction_of(fit, curve):
-    """Friction of joint 1 by a fit of the whole arm at the points of a curve."""
-    columns = steady_columns(fit.compiled, 0, curve.speed, fit.shapes, load=curve.load)
-    return columns @ fit.effect_coefficients
-
-
-def test_a_curve_and_a_fit_of_the_whole_arm_agree(curve, fit, whole):
-    of_arm = friction_of(whole, curve)
-    for own in (curve.friction, fit.predicted):
-        assert np.linalg.norm(own - of_arm) < 0.03 * np.linalg.norm(of_arm)
