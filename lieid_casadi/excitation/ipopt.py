@@ -172,12 +172,11 @@ class Ipopt:
         count, futile, least = 0, 0, np.inf
         barrier = self.barrier or min(1e-2, 100.0 * tolerance)
         while True:
-            run = IpoptRun(self, objective, rows, state, count, max(tolerance, 0.1 * barrier))
+            run = _Run(self, objective, rows, state, count, max(tolerance, 0.1 * barrier))
             inside = np.maximum(-run.limits(state.z)[len(multipliers) :], 1e-2)
-            multipliers = run_ipopt(
-                run, state.z, np.append(multipliers, barrier / inside),
-                radius=RADIUS, barrier=barrier, iterations=iterations - count,
-            )[: len(rows)]  # fmt: skip
+            multipliers = run.solve(
+                np.append(multipliers, barrier / inside), barrier, iterations - count
+            )[: len(rows)]
             count += max(run.count, 1)
             at_radius = float(np.abs(run.state.z - state.z).max()) > 0.99 * RADIUS
             state = run.state
@@ -200,12 +199,11 @@ class Ipopt:
         return state.z
 
 
-class IpoptRun:
+class _Run:
     """One run of Ipopt with fixed rows: min f(z) with g(z) ≤ 0, as functions of z (m,).
 
     ``last`` is the last iterate, ``state`` the last one from which another run may start,
-    ``count`` the number of iterations. ``pattern`` (R, m) has the entries of ∂g/∂z that can be
-    nonzero.
+    ``count`` the number of iterations.
     """
 
     def __init__(
@@ -217,33 +215,33 @@ class IpoptRun:
         self.count, self._before, self._enough, self._stall = 0, before, enough, 0
         self._slopes = state, self._slopes_of(state)
         self._curved = self._slopes
-        self.pattern = self._slopes[1] != 0.0
-        self.pattern[: len(rows)] |= solver.constraints.nonlinear(rows)[:, None]
-        self.pattern[len(rows) :] = True
+        self._failures: list[BaseException] = []
 
-    def value(self, z: Array) -> float:
-        """Return f."""
-        return self._at(z).outcome.value
-
-    def gradient(self, z: Array) -> Array:
-        """Return ∂f/∂z (m,)."""
-        return self._at(z).outcome.gradient
+    def at(self, z: Array) -> Iterate:
+        """Return the iterate at z, evaluated once."""
+        if not np.array_equal(self._here.z, z):
+            self._here = Iterate.at(self.solver.constraints, self.objective, z.copy())
+        return self._here
 
     def limits(self, z: Array) -> Array:
         """Return g (R,)."""
-        state = self._at(z)
+        state = self.at(z)
         return np.append(state.excess.ravel()[self.rows], state.outcome.excess)
 
     def slopes(self, z: Array) -> Array:
         """Return ∂g/∂z (R, m)."""
-        state = self._at(z)
+        state = self.at(z)
         if self._slopes[0] is not state:
             self._slopes = state, self._slopes_of(state)
         return self._slopes[1]
 
+    def _slopes_of(self, state: Iterate) -> Array:
+        own = self.solver.constraints.jacobian(state.motion, self.rows)
+        return np.vstack([own, state.outcome.slopes])
+
     def hessian(self, z: Array, multipliers: Array) -> Array:
         """Return an approximation of the Lagrangian's Hessian (m, m), updated by the last step."""
-        state, solver = self._at(z), self.solver
+        state, solver = self.at(z), self.solver
         before, slopes_before = self._curved
         if solver.hessian is None:
             solver.hessian = _first_hessian(state.outcome.gradient)
@@ -266,7 +264,7 @@ class IpoptRun:
         if self.count == 0 and np.array_equal(z, self.state.z):
             return False
         solver, before = self.solver, self.state
-        state = self.last = self._at(z)
+        state = self.last = self.at(z)
         solver.report(solver.stage, self._before + self.count, state)
         self.count += 1
         beyond = solver.constraints.peaks(state.excess, VIOLATED)
@@ -281,14 +279,79 @@ class IpoptRun:
         self._stall = self._stall + 1 if gain < self._enough else 0
         return not_a_row or self._stall >= (STALLED_OUTSIDE if violated else STALLED)
 
-    def _at(self, z: Array) -> Iterate:
-        if not np.array_equal(self._here.z, z):
-            self._here = Iterate.at(self.solver.constraints, self.objective, z.copy())
-        return self._here
+    def solve(self, multipliers: Array, barrier: float, iterations: int) -> Array:
+        """Run Ipopt from the state with multipliers (R,), and return those at the end.
 
-    def _slopes_of(self, state: Iterate) -> Array:
-        own = self.solver.constraints.jacobian(state.motion, self.rows)
-        return np.vstack([own, state.outcome.slopes])
+        No variable changes by more than the radius. The barrier parameter is constant, so that the
+        run ends on the central path. Exceptions of the functions, KeyboardInterrupt included, are
+        raised after Ipopt has ended.
+        """
+        z = self.state.z
+        x = ca.MX.sym("z", len(z))
+        settings = {
+            "print_level": 0, "sb": "yes", "max_iter": iterations,
+            "tol": 1e-6,  # the callback stops earlier
+            "nlp_scaling_method": "none", "mu_strategy": "monotone", "mu_init": barrier,
+            "mu_target": barrier, "warm_start_init_point": "yes",
+            "warm_start_slack_bound_push": PUSH, "warm_start_slack_bound_frac": PUSH,
+            "warm_start_bound_push": PUSH, "warm_start_bound_frac": PUSH,
+            "warm_start_mult_bound_push": 1e-9, "acceptable_iter": 0,
+        }  # fmt: skip
+        try:
+            # CasADi keeps no reference to the Python objects: keep them as long as the solver
+            functions = self._functions(len(z))
+            given = ("grad_f", "jac_g", "hess_lag", "iteration_callback")
+            options: dict[str, Any] = {name: functions[name] for name in given} | {
+                "no_nlp_grad": True, "print_time": False, "show_eval_warnings": False,
+                "error_on_fail": False, "ipopt": settings,
+            }  # fmt: skip
+            nlp = {"x": x, "f": functions["f"](x), "g": functions["g"](x)}
+            solver = ca.nlpsol("excitation", "ipopt", nlp, options)
+            result = solver(
+                x0=z, lbx=z - RADIUS, ubx=z + RADIUS, lbg=-np.inf, ubg=0.0, lam_g0=multipliers
+            )
+        except RuntimeError as error:
+            # KeyboardInterrupt while CasADi asks a function for its shapes
+            if "KeyboardInterrupt" in str(error):
+                raise KeyboardInterrupt from error
+            raise
+        if self._failures:
+            raise self._failures[0]
+        return np.asarray(result["lam_g"].full().ravel())
+
+    def _functions(self, size: int) -> dict[str, _Function]:
+        """Return the functions under CasADi's names, with CasADi's signatures."""
+        pattern = self._slopes[1] != 0.0  # entries of ∂g/∂z that can be nonzero
+        pattern[: len(self.rows)] |= self.solver.constraints.nonlinear(self.rows)[:, None]
+        pattern[len(self.rows) :] = True
+        sparsity = ca.sparsify(ca.DM(pattern.astype(float))).sparsity()
+        triangle = ca.Sparsity.upper(size)
+        entries, upper = (
+            tuple(np.array(part, dtype=np.intp) for part in each.get_triplet())
+            for each in (sparsity, triangle)
+        )
+        one, none = ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
+        z_, g_ = ca.Sparsity.dense(size), ca.Sparsity.dense(len(pattern))
+        shapes = {"x": z_, "lam_x": z_, "f": one, "g": g_, "lam_g": g_}
+        results = [shapes.get(ca.nlpsol_out(k), none) for k in range(ca.nlpsol_n_out())]
+
+        def f(z: Array, *_: Array) -> float:
+            return self.at(z).outcome.value
+
+        def hessian(z: Array, _: Array, of_objective: Array, multipliers: Array) -> Values:
+            return [of_objective[0] * self.hessian(z, multipliers)[upper]]
+
+        table: dict[str, tuple[list[Any], list[Any], Callable[..., Values]]] = {
+            "f": ([z_], [one], lambda z: [f(z)]),
+            "g": ([z_], [g_], lambda z: [self.limits(z)]),
+            "grad_f": ([z_, none], [one, z_], lambda z, _: [f(z), self.at(z).outcome.gradient]),
+            "jac_g": (
+                [z_, none], [g_, sparsity], lambda z, _: [self.limits(z), self.slopes(z)[entries]]
+            ),
+            "hess_lag": ([z_, none, one, g_], [triangle], hessian),
+            "iteration_callback": (results, [one], lambda z, *_: [float(self.done(z))]),
+        }  # fmt: skip
+        return {name: _Function(name, *parts, self._failures) for name, parts in table.items()}
 
 
 def _first_hessian(gradient: Array) -> BFGS:
@@ -299,77 +362,6 @@ def _first_hessian(gradient: Array) -> BFGS:
     hessian = BFGS(exception_strategy="damp_update", min_curvature=0.2, init_scale=size)
     hessian.initialize(len(gradient), "hess")
     return hessian
-
-
-def run_ipopt(
-    program: IpoptRun, z: Array, multipliers: Array, *, radius: float, barrier: float,
-    iterations: int,
-) -> Array:  # fmt: skip
-    """Run Ipopt from z and return the multipliers (R,); iterates go to ``program.done``.
-
-    No variable changes by more than the radius. The barrier parameter is constant, so that the run
-    ends on the central path. Exceptions of the program, KeyboardInterrupt included, are raised
-    after Ipopt has ended.
-    """
-    failures: list[BaseException] = []
-    x = ca.MX.sym("z", len(z))
-    settings = {
-        "print_level": 0, "sb": "yes", "max_iter": iterations,
-        "tol": 1e-6,  # the callback stops earlier
-        "nlp_scaling_method": "none", "mu_strategy": "monotone", "mu_init": barrier,
-        "mu_target": barrier, "warm_start_init_point": "yes",
-        "warm_start_slack_bound_push": PUSH, "warm_start_slack_bound_frac": PUSH,
-        "warm_start_bound_push": PUSH, "warm_start_bound_frac": PUSH,
-        "warm_start_mult_bound_push": 1e-9, "acceptable_iter": 0,
-    }  # fmt: skip
-    try:
-        # CasADi keeps no reference to the Python objects: keep them as long as the solver
-        functions = _functions(program, len(z), failures)
-        given = ("grad_f", "jac_g", "hess_lag", "iteration_callback")
-        options: dict[str, Any] = {name: functions[name] for name in given} | {
-            "no_nlp_grad": True, "print_time": False, "show_eval_warnings": False,
-            "error_on_fail": False, "ipopt": settings,
-        }  # fmt: skip
-        nlp = {"x": x, "f": functions["f"](x), "g": functions["g"](x)}
-        solver = ca.nlpsol("excitation", "ipopt", nlp, options)
-        result = solver(
-            x0=z, lbx=z - radius, ubx=z + radius, lbg=-np.inf, ubg=0.0, lam_g0=multipliers
-        )
-    except RuntimeError as error:
-        # KeyboardInterrupt while CasADi asks a function for its shapes
-        if "KeyboardInterrupt" in str(error):
-            raise KeyboardInterrupt from error
-        raise
-    if failures:
-        raise failures[0]
-    return np.asarray(result["lam_g"].full().ravel())
-
-
-def _functions(p: IpoptRun, size: int, failures: list[BaseException]) -> dict[str, _Function]:
-    """Return the functions under CasADi's names, with CasADi's signatures."""
-    sparsity = ca.sparsify(ca.DM(p.pattern.astype(float))).sparsity()
-    triangle = ca.Sparsity.upper(size)
-    entries, upper = (
-        tuple(np.array(part, dtype=np.intp) for part in pattern.get_triplet())
-        for pattern in (sparsity, triangle)
-    )
-    one, none = ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
-    z_, g_ = ca.Sparsity.dense(size), ca.Sparsity.dense(len(p.pattern))
-    shapes = {"x": z_, "lam_x": z_, "f": one, "g": g_, "lam_g": g_}
-    results = [shapes.get(ca.nlpsol_out(k), none) for k in range(ca.nlpsol_n_out())]
-
-    def hessian(z: Array, _: Array, of_objective: Array, multipliers: Array) -> Values:
-        return [of_objective[0] * p.hessian(z, multipliers)[upper]]
-
-    table: dict[str, tuple[list[Any], list[Any], Callable[..., Values]]] = {
-        "f": ([z_], [one], lambda z: [p.value(z)]),
-        "g": ([z_], [g_], lambda z: [p.limits(z)]),
-        "grad_f": ([z_, none], [one, z_], lambda z, _: [p.value(z), p.gradient(z)]),
-        "jac_g": ([z_, none], [g_, sparsity], lambda z, _: [p.limits(z), p.slopes(z)[entries]]),
-        "hess_lag": ([z_, none, one, g_], [triangle], hessian),
-        "iteration_callback": (results, [one], lambda z, *_: [float(p.done(z))]),
-    }
-    return {name: _Function(name, *parts, failures) for name, parts in table.items()}
 
 
 class _Function(ca.Callback):
