@@ -1,5 +1,6 @@
-"""Criteria, the information matrix, and the model that a design evaluates."""
+"""Criteria, also of the user's, the information matrix, and the model that a design evaluates."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -7,7 +8,6 @@ import lieid_casadi as lieid
 from lieid_casadi.errors import ExcitationError, NotCountedWarning
 from lieid_casadi.excitation import (
     CartesianSpeed,
-    Criterion,
     Obstacle,
     SelfCollision,
     Torque,
@@ -16,6 +16,7 @@ from lieid_casadi.excitation import (
 )
 from lieid_casadi.excitation.criteria import (
     Condition,
+    ExpressionCriterion,
     Hadamard,
     InformationMatrix,
     LogDet,
@@ -87,7 +88,7 @@ def test_gradient_of_an_objective_in_the_free_variables(robot, effects):
 
 def test_information_matrix_uses_the_regressor_of_the_model():
     """With a sign that is sharp at these speeds, Y_b equals that of the compiled model."""
-    model = lieid.Model(lieid.robots.two_link(), effects=["coulomb", "load_friction", "viscous"])
+    model = lieid.Model(ROBOT, effects=["coulomb", "load_friction", "viscous", "warm_up:2"])
     rng = np.random.default_rng(0)
     q, dq, ddq = rng.normal(size=(3, 20, 2))
     dq = np.sign(dq) * (0.5 + np.abs(dq))
@@ -95,7 +96,7 @@ def test_information_matrix_uses_the_regressor_of_the_model():
     rows = information.rows(MotionSamples(np.arange(20.0), q, dq, ddq))
     arm = lieid.compile(model)
     load = arm.inverse_dynamics(q, dq, ddq, model.robot.link_parameters)
-    expected = arm.base_regressor(q, dq, ddq, load=load)
+    expected = arm.base_regressor(q, dq, ddq, load=load, time=np.arange(20.0))
     np.testing.assert_allclose(
         rows.reshape(model.base.count, 2, 20), expected.transpose(2, 1, 0), atol=1e-12
     )
@@ -158,32 +159,6 @@ def test_thresholds_of_the_combined_criterion_end_the_search():
     assert early.iterations < full.iterations
 
 
-class EOptimal(Criterion):
-    """−log λ_min(G): the worst direction's variance, where it is a single one."""
-
-    name = "e_optimal"
-
-    def evaluate(self, gram):
-        sizes, vectors = np.linalg.eigh(gram)
-        return -float(np.log(sizes[0])), -np.outer(vectors[:, 0], vectors[:, 0]) / sizes[0]
-
-
-def test_a_criterion_with_a_derivative_of_its_own():
-    """The largest variance of a parameter direction falls below that of the other criteria."""
-    options = {"duration": 6.0, "starts": 1, "limits": ()}
-    own, other = (
-        excite(lieid.Model(ROBOT), criterion=c, **options) for c in (EOptimal(), "hadamard")
-    )
-
-    def smallest(found):
-        motion = found.trajectory.at(0.06 * np.arange(100))
-        base = lieid.compile(found.model).base_regressor(motion.q, motion.dq, motion.ddq)
-        return np.linalg.svd(base.reshape(200, -1), compute_uv=False)[-1]
-
-    assert own.criterion == "e_optimal"
-    assert smallest(own) > smallest(other)
-
-
 @pytest.mark.parametrize(
     ("effects", "expected", "messages"),
     [
@@ -206,20 +181,6 @@ def test_effects_of_the_design_model(effects, expected, messages):
         assert message in str(warning)
 
 
-def test_columns_that_depend_on_time():
-    """Columns of `warm_up` by their formula."""
-    model = lieid.Model(ROBOT, effects="coulomb,viscous,warm_up")
-    information = InformationMatrix(model, sign_width=np.full(2, 0.05))
-    rng = np.random.default_rng(2)
-    t = np.linspace(0.0, 40.0, 12)
-    motion = MotionSamples(t, *(rng.normal(size=(12, 2)) for _ in range(3)))
-    rows = information.rows(motion).reshape(-1, 2, 12)
-    names = [model.base.names[k] for k in model.base.kept]
-    column = rows[names.index("warm_up.f_tv:2")]
-    np.testing.assert_allclose(column[0], 0.0)
-    np.testing.assert_allclose(column[1], (1.0 - np.exp(-t / 300.0)) * motion.dq[:, 1], rtol=1e-9)
-
-
 def test_a_design_warns_of_effects_that_it_leaves_out():
     model = lieid.Model(ROBOT, effects="presliding,viscous,warm_up:1,temperature_friction:2")
     options = {"duration": 8.0, "starts": 1, "max_iterations": 40, "limits": ()}
@@ -230,3 +191,35 @@ def test_a_design_warns_of_effects_that_it_leaves_out():
     assert [w["name"] for w in found.to_dict()["warnings"]] == ["NotCountedWarning"] * 2
     assert "temperature_friction:2" in found.summary()
     assert plain.warnings == ()
+
+
+MODEL = lieid.Model(ROBOT, effects="coulomb,viscous")
+QUICK = {"duration": 6.0, "starts": 1, "limits": ()}
+
+
+def volume(information):
+    return -2.0 * ca.sum1(ca.log(ca.diag(ca.chol(information)))) / information.size1()
+
+
+def test_a_criterion_of_the_users():
+    """−log det as an expression: value, derivative, and the optimum of the built-in criterion."""
+    rows = np.random.default_rng(3).normal(size=(30, 6))
+    value, slope = ExpressionCriterion(volume, 6).evaluate(rows.T @ rows)
+    expected, expected_slope = LogDet().evaluate(rows.T @ rows)
+    assert np.isclose(value, expected)
+    np.testing.assert_allclose(slope, expected_slope, rtol=1e-9)
+    own, named = (excite(MODEL, criterion=c, **QUICK) for c in (volume, "logdet"))
+    assert own.criterion == "volume"
+    assert np.isclose(own.neg_log_det, named.neg_log_det, atol=0.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"limits": ["torque"]}, "limits: 'torque'; expected limits"),
+        ({"criterion": lambda g: g}, "shape .*; expected a scalar"),
+    ],
+)
+def test_bad_extensions(options, message):
+    with pytest.raises(ExcitationError, match=message):
+        excite(MODEL, **{**QUICK, **options})

@@ -34,7 +34,7 @@ def test_files_and_keys(folder):
     assert content.keys() >= KEYS
     assert content["criterion"] == "combined"
     assert content["max_violation"] == 0.0
-    assert content["solve_seconds"] > 0.0
+    assert "Not checked: " in (folder / "summary.txt").read_text()
 
 
 def test_csv_matches_the_coefficients_in_json(folder):
@@ -53,12 +53,6 @@ def test_csv_matches_the_coefficients_in_json(folder):
             for k, (a, b) in enumerate(zip(c["a"][j], c["b"][j], strict=True), start=1)
         )
         np.testing.assert_allclose(rows[:, 1 + j], q, atol=1e-9)
-
-
-def test_the_summary(folder):
-    text = (folder / "summary.txt").read_text()
-    assert "Condition number" in text
-    assert "Not checked: " in text
 
 
 def test_plot_leaves_global_state_alone():
@@ -182,4 +176,6 @@ def test_interrupt_keeps_the_trajectory(tmp_path, monkeypatch):
     monkeypatch.setattr(package, "excite", quick)
     target = tmp_path / "out"
     assert main(["excite", "two_link", "-o", str(target), *QUICK]) == 130
-    assert json.loads((target / "excitation.json").read_text())["interrupted"] is True
+    content = json.loads((target / "excitation.json").read_text())
+    assert content["interrupted"] is True
+    assert content["max_violation"] == 0.0
