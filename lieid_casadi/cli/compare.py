@@ -15,7 +15,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
     fit FIT: input  fit to compare
     recordings REC …: input  recordings to compare it with
-    --plot FILE: picture  draw measured, predicted and residual torque
     @RECORDING @DESPITE_CHECK @JSON @HTML
     """
     from lieid_casadi.comparison import compare
@@ -34,5 +33,4 @@ def run(args: argparse.Namespace) -> output.Outcome:
         ),
         json=comparison.to_dict() | {"premises": premises},
         html=lambda: comparison_report(fit, comparison),
-        plot=comparison.plot,
     )

@@ -59,7 +59,7 @@ def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
             ("errors.png", demo.comparison.plot_errors()),
             ("waterfall.png", demo.diagnosis.plot()),
         ):
-            (fresh / name).write_bytes(output.picture_bytes(name, figure))
+            figure.savefig(fresh / name, dpi=110)
         report = diagnosis_report(demo.diagnosis, demo.better_comparison)
         (fresh / "report.html").write_bytes(output.html_bytes(report))
         export(demo.better, fresh / "c", to="c")

@@ -36,7 +36,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --worth PART: part  least relative fall of a joint's held-out error that is a finding;
         default: 0.03 for missing effects, 0.1 of the error for changes since a fit
     -o/--output fit.json: output  write the fit with the effects that were found
-    --plot FILE: picture  draw the error after each step
     @ONLY_WITH_TRAIN @RECORDING @DESPITE_CHECK @JSON @HTML
     """
     from lieid_casadi.report import diagnosis_report
@@ -53,7 +52,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         fit=diagnosis.fit,
         json=diagnosis.to_dict() | {"premises": premises},
         html=lambda: diagnosis_report(diagnosis),
-        plot=diagnosis.plot,
     )
 
 

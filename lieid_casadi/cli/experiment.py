@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
-from lieid_casadi.errors import NoSolution, UsageError
+from lieid_casadi.errors import LieidError, NoSolution, UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.experiments import Experiment, PlannedMotion
     from lieid_casadi.recording import Recording
+    from lieid_casadi.robot import Robot
     from lieid_casadi.tables import Table
 
 
@@ -36,6 +39,8 @@ def run(args: argparse.Namespace) -> output.Outcome:
     -o/--output DIR: resumed required  folder of the experiment
     --most N: int = 5  recordings at most
     --yes  run every motion without a question
+    --page PORT: port  follow the experiment and confirm motions on a local web page
+    --no-browser  do not open a browser
     --longest S: number = 20  length of a motion, s
     --probe S: number = 3  length of the probe motion at the start of each, s; 0 for none
     --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
@@ -49,10 +54,10 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.identification import Fit
     from lieid_casadi.report import experiment_report
 
-    if not args.yes and not sys.stdin.isatty():
+    if not (args.yes or args.page or sys.stdin.isatty()):
         raise UsageError(
             "standard input is not a terminal, so that no motion can be confirmed; expected a "
-            "terminal, or --yes to run every motion without a question"
+            "terminal, --page PORT, or --yes to run every motion without a question"
         )
     robot = inputs.robot_of(args)
     source = Fit.load(args.robot) if inputs.is_fit(args) else robot
@@ -63,17 +68,24 @@ def run(args: argparse.Namespace) -> output.Outcome:
     command = RecordCommand.parse(args.record, load)
     given = inputs.recordings_of(args.recordings, args, source)
     stated = args.effects is not None or args.motor_side
-    # a bar would hide the question
-    with output.progress("experiment") if args.yes else nullcontext(_silent) as report:
+    page = None if args.page is None else _Page(args, robot)
+    if page is not None:
+        shown_by: Any = nullcontext(page.progress)
+    else:  # a bar would hide the question
+        shown_by = output.progress("experiment") if args.yes else nullcontext(_silent)
+    asked = None if args.yes else _confirmed
+    with shown_by as report:
         result = experiment(
             inputs.model_for(args, robot, given) if stated else source, given,
             record=command, folder=args.output, most=args.most,
-            confirm=None if args.yes else _confirmed, load=load,
+            confirm=asked if page is None else page.confirm, load=load,
             despite_check=args.despite_check, start_pose=args.start_pose or None,
             acceleration=args.acceleration or None, margin=args.margin,
             limits=inputs.limits_of(args, robot), longest=args.longest, probe=args.probe,
             rate=args.rate, seed=args.seed, progress=report,
         )  # fmt: skip
+    if page is not None:
+        page.end(result)
     if result.stopped == "record_failed":
         raise NoSolution(
             f"{result.reason} The same command resumes the experiment in {args.output}"
@@ -89,14 +101,72 @@ def _silent(stage: str, fraction: float) -> None:
 
 def _confirmed(motion: PlannedMotion) -> bool:
     """Show a motion and ask whether to run it."""
-    output.show(
-        f"Recording {motion.number}: {motion.purpose.why} {motion.promise}",
-        f"The robot moves for {motion.duration:.3g} s along {motion.folder}/trajectory.csv.",
-        f"Checked: {'; '.join(motion.checked)}.",
-        f"Not checked: {'; '.join(motion.unchecked)}.",
-        "Run it on the robot? [y/N]",
-    )
+    output.show(*motion.sentences, "Run it on the robot? [y/N]")
     return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+class _Page:
+    """The experiment's page, served by a process of its own, and the answers of its user."""
+
+    def __init__(self, args: argparse.Namespace, robot: Robot) -> None:
+        from lieid_casadi.workbench.arm import arm_meshes
+        from lieid_casadi.workbench.experiment_page import Live, serve_experiment
+        from lieid_casadi.workbench.server import open_in_browser
+
+        self._robot, self._asks, self._told = robot, not args.yes, 0.0
+        meshes = arm_meshes(robot, args.robot)
+        live = Live(robot.name, Path(args.output).absolute(), meshes, args.yes, begun=args.yes)
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        given = (theirs, args.page, live)
+        context.Process(target=serve_experiment, args=given, daemon=True).start()
+        theirs.close()
+        url = self._pipe.recv()
+        if isinstance(url, LieidError):
+            raise url
+        print(url, flush=True)
+        if not args.no_browser:
+            open_in_browser(url)
+        if not args.yes:
+            self._answer("start")
+            self._send(begun=True)
+
+    def progress(self, stage: str, fraction: float) -> None:
+        """Show a stage, a few times per second."""
+        if time.monotonic() - self._told > 0.1:
+            self._told = time.monotonic()
+            self._send(stage=stage, fraction=fraction)
+
+    def confirm(self, motion: PlannedMotion) -> bool:
+        """Show a motion, and return whether to run it; ask unless all are to be run."""
+        from lieid_casadi.workbench.arm import arm_motion
+
+        while not self._asks and self._pipe.poll():
+            self._asks = self._pipe.recv() == "pause"
+        samples = arm_motion(self._robot, motion.samples.t, motion.samples.q)
+        self._send(motion=samples, sentences=motion.sentences, asks=self._asks)
+        answer = self._answer("run", "end", "continue") if self._asks else "run"
+        self._asks = self._asks and answer != "continue"
+        self._send(asks=False, stage=f"record {motion.number}", fraction=0.0)
+        return answer != "end"
+
+    def end(self, result: Experiment) -> None:
+        """Show why it ended until the user closes the page."""
+        self._send(ended="\n".join(result.sentences), stage="", fraction=1.0)
+        if self._asks:
+            self._answer("close")
+
+    def _answer(self, *expected: str) -> str:
+        """Wait for one of these answers; without a page it is ``end``."""
+        with suppress(EOFError, OSError):
+            while (word := str(self._pipe.recv())) not in expected:
+                pass
+            return word
+        return "end"
+
+    def _send(self, **shown: Any) -> None:
+        with suppress(OSError):  # the page was ended
+            self._pipe.send(shown)
 
 
 def shown(result: Experiment) -> Iterator[str | Table]:

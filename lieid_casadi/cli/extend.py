@@ -17,7 +17,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --train A …: input required  recordings to fit
     --test B …: input  recordings to test on, which are not fitted
     -o/--output fit2.json: output  write the new fit
-    --plot FILE: picture  draw the errors before and after
     @RECORDING @JSON @HTML
     """
     from lieid_casadi.diagnosis.extend import extend
@@ -32,5 +31,4 @@ def run(args: argparse.Namespace) -> output.Outcome:
         fit=extension.after,
         json=extension.to_dict(),
         html=lambda: extension_report(extension),
-        plot=extension.plot,
     )

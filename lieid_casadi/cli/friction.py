@@ -25,7 +25,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --effects A,B,…  friction model: effects of speed and load; default:
         coulomb,viscous,stribeck, and load_friction where the load varies
     --fit FIT: input  fit of the whole arm, whose rigid torque is used, also as the load
-    --plot FILE: picture  draw the curve and the fit
     @RECORDING
     --cutoff HZ: number  cut-off frequency of the low-pass filter
     @JSON
@@ -49,7 +48,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     return output.Outcome(
         (curve_table(curve), parameter_table(fit), *curve.warnings, *fit.warnings),
         json=content(fit),
-        plot=fit.plot,
     )
 
 

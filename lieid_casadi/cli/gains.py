@@ -22,7 +22,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --unloaded REC …: input required  recordings of currents without the payload
     --loaded REC …: input required  recordings of currents with the payload
     --mass KG: above required  mass of the payload
-    --plot FILE: picture  draw the gains
     @EFFECTS @EFFECTS_FILE @READING @PROCESSING @JSON @THREADS
     """
     from lieid_casadi.gains import drive_gains
@@ -38,11 +37,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
             processing=inputs.processing_of(args),
             progress=report,
         )
-    return output.Outcome(
-        shown(gains),
-        json=gains.to_dict(),
-        plot=gains.plot,
-    )
+    return output.Outcome(shown(gains), json=gains.to_dict())
 
 
 def shown(gains: DriveGains) -> tuple[str | Table | LieidWarning, ...]:

@@ -14,8 +14,6 @@ from typing import Any
 
 from lieid_casadi.errors import UsageError
 
-PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".eps", ".ps")
-
 
 class InputPath(str):
     """A file or folder that a command reads; ``REC@T0:T1`` is a part of a recording."""
@@ -33,10 +31,6 @@ class Calibration(InputPath):
 
 class OutputFile(str):
     """A file that a command writes."""
-
-
-class PictureFile(OutputFile):
-    """A picture that a command writes; its suffix is the format."""
 
 
 class OutputFolder(str):
@@ -85,7 +79,6 @@ KINDS: dict[str, Callable[[str], Any]] = {
     "input": InputPath,
     "calibration": Calibration,
     "output": OutputFile,
-    "picture": PictureFile,
     "folder": OutputFolder,
     "resumed": ResumedFolder,
     "int": int,
@@ -119,11 +112,6 @@ def check_paths(args: argparse.Namespace) -> None:
             check_folder(output, force=args.force)
         else:
             check_file(output)
-        if isinstance(output, PictureFile) and Path(output).suffix.lower() not in ("", *PICTURES):
-            raise UsageError(
-                f"{output}: cannot draw {Path(output).suffix!r} files; "
-                "expected e.g. .png, .pdf or .svg"
-            )
         for given in (value for value in values if isinstance(value, InputPath)):
             if _overwrites(output, given.file):
                 raise UsageError(f"{output}: is also an input ({given}); expected another output")

@@ -10,13 +10,11 @@ import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from lieid_casadi.errors import LieidWarning
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
 
     from lieid_casadi.arrays import Array
@@ -124,14 +122,6 @@ def html_bytes(page: str) -> bytes:
     return page.encode(errors="replace")
 
 
-def picture_bytes(path: str, figure: Figure) -> bytes:
-    """Return a figure in the format of the path's suffix; PNG without one."""
-    buffer = io.BytesIO()
-    kind = Path(path).suffix.lstrip(".").lower() or "png"
-    figure.savefig(buffer, format=kind, dpi=110)
-    return buffer.getvalue()
-
-
 @dataclass(frozen=True)
 class Outcome:
     """What a command found: its files are written, all or none, and then it is printed.
@@ -142,7 +132,6 @@ class Outcome:
     shown: Sequence[str | Table | LieidWarning] = ()
     json: Mapping[str, Any] | None = None
     html: Callable[[], str] | None = None
-    plot: Callable[[], Figure] | None = None
     fit: Fit | None = None
     files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)  # of other options
     folder: Callable[[], object] | None = None  # writes the folder of -o, before the files
@@ -167,7 +156,7 @@ class Outcome:
         """Yield path and content of the files that the options name."""
         from lieid_casadi.identification.fit import content_of
 
-        fit, json, html, plot = self.fit, self.json, self.html, self.plot
+        fit, json, html = self.fit, self.json, self.html
         contents = dict(self.files)
         if fit is not None:
             contents["output"] = lambda: content_of(fit)
@@ -175,8 +164,6 @@ class Outcome:
             contents["json"] = lambda: json_bytes({"schema": SCHEMA} | dict(json))
         if html is not None:
             contents["html"] = lambda: html_bytes(html())
-        if plot is not None:
-            contents["plot"] = lambda: picture_bytes(args.plot, plot())
         for name, content in contents.items():
             path: str | None = getattr(args, name, None)
             if path is not None:

@@ -16,7 +16,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     fit FIT: input  fit made without the payload
     recordings REC …: input  recordings measured with the payload
     --cutoff HZ: number  cut-off frequency of the low-pass filter; default: that of the fit
-    --plot FILE: picture  draw the errors before and after
     @RECORDING @DESPITE_CHECK @JSON @HTML
     """
     from lieid_casadi.payload import identify_payload
@@ -38,5 +37,4 @@ def run(args: argparse.Namespace) -> output.Outcome:
         ),
         json=payload.to_dict() | {"premises": premises},
         html=lambda: payload_report(fit, payload),
-        plot=payload.plot,
     )

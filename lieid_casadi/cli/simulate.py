@@ -21,7 +21,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --window S: above = 1  length of the windows
     --under {command,torque}  input; default: commands if the fit has a drive law and the
         recordings have them
-    --plot FILE: picture  draw the drift per joint
     @RECORDING @JSON
     """
     from dataclasses import replace
@@ -43,6 +42,5 @@ def run(args: argparse.Namespace) -> output.Outcome:
     return output.Outcome(
         (drift_table(simulation), *simulation.warnings),
         json=simulation.to_dict(),
-        plot=simulation.plot,
         files={"output": lambda: output.csv_bytes(simulation.t, **motion)},
     )

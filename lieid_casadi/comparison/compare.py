@@ -71,20 +71,15 @@ def compare_segments(
     recordings: Sequence[Recording],
     segments: Sequence[Processed],
     *,
-    added: Sequence[Array | float] | None = None,
     warnings: Sequence[LieidWarning] = (),
     with_noise: bool = True,
 ) -> Comparison:
     """Compare a fit with segments of recordings that were checked and processed before.
 
-    Temperatures of the segments are relative to the fit's mean. ``added`` (K, n) is torque in
-    addition to the fit's on the grid of each, N·m: of changes since the fit. Without
-    ``with_noise``, the noise floor, which takes as long as the rest, is NaN.
+    Temperatures of the segments are relative to the fit's mean. Without ``with_noise``, the noise
+    floor, which takes as long as the rest, is NaN.
     """
-    both = [
-        series_along(fit, segment, added=torque)
-        for segment, torque in zip(segments, added or [0.0] * len(segments), strict=True)
-    ]
+    both = [series_along(fit, segment) for segment in segments]
     series = tuple(each for each, _ in both)
     measured = np.concatenate([s.measured for s in series])
     predicted = np.concatenate([s.predicted for s in series])

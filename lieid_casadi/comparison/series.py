@@ -49,15 +49,10 @@ class Series:
         return np.asarray(self.sign != 0.0)
 
 
-def series_along(
-    fit: Fit, segment: Processed, *, added: Array | float = 0.0
-) -> tuple[Series, Array]:
-    """Return the series of a segment, and its error (K, n) on the grid, not filtered, N·m.
-
-    ``added`` (K, n) is torque in addition to the fit's on the grid, N·m.
-    """
+def series_along(fit: Fit, segment: Processed) -> tuple[Series, Array]:
+    """Return the series of a segment, and its error (K, n) on the grid, not filtered, N·m."""
     assert segment.tau is not None  # checked by compare
-    torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes) + added
+    torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes)
     load = fit.compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, fit.link_parameters)
     dq = segment.filter(segment.dq)
     temperature = segment.temperature

@@ -78,6 +78,16 @@ class PlannedMotion:
         """Length of the motion, s."""
         return float(self.samples.t[-1])
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What it is for, where it is, and what was checked: before the user confirms it."""
+        return (
+            f"Recording {self.number}: {self.purpose.why} {self.promise}",
+            f"The robot moves for {self.duration:.3g} s along {self.folder}/trajectory.csv.",
+            f"Checked: {'; '.join(self.checked)}.",
+            f"Not checked: {'; '.join(self.unchecked)}.",
+        )
+
     def csv(self) -> str:
         """Return ``trajectory.csv``: t, q, dq, ddq, after comments with what was checked."""
         return csv_text(self.samples, self.checked, self.unchecked)

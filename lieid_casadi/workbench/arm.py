@@ -16,7 +16,6 @@ from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.excitation.limits import link_poses
 from lieid_casadi.excitation.links import capsules_of
 from lieid_casadi.expressions.frames import homogeneous
-from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
 
 FRAMES_PER_SECOND = 20.0
@@ -37,7 +36,7 @@ class ArmMesh:
 class ArmMotion:
     """Poses of the base and the links in the base frame, ``poses`` (F, n + 1, 4, 4).
 
-    ``times`` (F,) are on the recording's own clock, s; ``centre`` and ``radius`` are those of the
+    ``times`` (F,) are on the motion's own clock, s; ``centre`` and ``radius`` are those of the
     box around all positions, m.
     """
 
@@ -47,15 +46,14 @@ class ArmMotion:
     radius: float
 
 
-def arm_motion(robot: Robot, recording: Recording) -> ArmMotion:
-    """Return the poses of the links at measured rows, at most 20 per second."""
-    t = recording.t
+def arm_motion(robot: Robot, t: Array, angles: Array) -> ArmMotion:
+    """Return the poses of the links along joint positions (N, n), at most 20 per second."""
     count = int(min(FRAMES_PER_SECOND * (t[-1] - t[0]) + 2, MOST_FRAMES, len(t)))
     rows = np.unique(np.searchsorted(t, np.linspace(t[0], t[-1], count)).clip(0, len(t) - 1))
     q = ca.SX.sym("q", robot.n)
     symbolic = [homogeneous(pose) for pose in link_poses(robot, Motion.of(q))]
     function = ca.Function("poses", [q], [ca.horzcat(*symbolic)])
-    values = np.array(function.map(len(rows))(recording.q[rows].T).full())
+    values = np.array(function.map(len(rows))(angles[rows].T).full())
     stacked = values.reshape(4, len(rows), robot.n + 1, 4)  # (row, frame, link, column)
     poses = np.ascontiguousarray(stacked.transpose(1, 2, 0, 3))
     tool = poses[:, -1] @ robot.tool

@@ -20,7 +20,7 @@ from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.comparison.comparison import verdict_sentences
 from lieid_casadi.compiled import compile
-from lieid_casadi.diagnosis import change_torque, diagnose
+from lieid_casadi.diagnosis import diagnose
 from lieid_casadi.errors import LieidWarning, ModelError, RecordingError, UsageError
 from lieid_casadi.exporters.export import export
 from lieid_casadi.identification import Fit, identify
@@ -49,7 +49,6 @@ from lieid_casadi.workbench.session import (
     FoundEffects,
     ModelStep,
     Progress,
-    ProposedEffect,
     Role,
     StepErrors,
     WorkbenchInputs,
@@ -178,7 +177,8 @@ class Computation:
 
     def motion(self, recording: int) -> ArmMotion:
         """Return the poses of the arm along a recording."""
-        return arm_motion(self.robot, self.recordings[recording])
+        shown = self.recordings[recording]
+        return arm_motion(self.robot, shown.t, shown.q)
 
     def save(self, step: ModelStep, *, kind: Kind, report: Progress) -> tuple[str, bytes]:
         """Return the name and the content of a file.
@@ -279,10 +279,10 @@ class Computation:
         on_train = on_test = None
         if train:
             prepared = self._prepared("train", step, fit, share if test else 1.0)
-            on_train = prepared.compared(fit, step.changes, with_noise=complete and not test)
+            on_train = prepared.compared(fit, with_noise=complete and not test)
         if test:
             prepared = self._prepared("test", step, fit, 1.0)
-            on_test = prepared.compared(fit, step.changes, with_noise=complete)
+            on_test = prepared.compared(fit, with_noise=complete)
         shown = on_test or on_train
         assert shown is not None
         if complete:
@@ -301,7 +301,7 @@ class Computation:
             train=on_train,
             test=on_test,
             sentence="\n".join(verdict_sentences(shown, SEARCHES[self.inputs.mode])),
-            effects=effect_rows(fit, step.changes),
+            effects=effect_rows(fit),
             cutoff=fit.processing.cutoff or shown.cutoff,
             processing=fit.processing,
         )
@@ -426,24 +426,9 @@ class PreparedRecordings:
             report=report,
         )
 
-    def compared(
-        self, fit: Fit, changes: Sequence[ProposedEffect], *, with_noise: bool
-    ) -> Comparison:
-        """Return the comparison of a fit, with changes since it, with these recordings."""
+    def compared(self, fit: Fit, *, with_noise: bool) -> Comparison:
+        """Return the comparison of a fit with these recordings."""
         check_recordings(fit.model, self.recordings)
         return compare_segments(
-            fit,
-            self.recordings,
-            self.segments,
-            added=[_torque_of(changes, fit, segment) for segment in self.segments],
-            warnings=self.warnings,
-            with_noise=with_noise,
+            fit, self.recordings, self.segments, warnings=self.warnings, with_noise=with_noise
         )
-
-
-def _torque_of(changes: Sequence[ProposedEffect], fit: Fit, segment: Processed) -> Array:
-    """Return the torque (K, n) of changes since a fit on a segment's grid, N·m."""
-    torque = np.zeros_like(segment.q)
-    for change in changes:
-        torque += change_torque(fit, segment, change.label, dict(change.parameters))
-    return torque

@@ -255,12 +255,13 @@ class FindingsView(View):
             self._verdict.text = evaluation.sentence + exact
         if evaluation is not None:  # for tests and the benchmark of the latency
             self._whole.props["data-complete"] = str(evaluation.complete).lower()
-        present = () if step is None else step.effects_and_changes
+        present = () if step is None else step.effects
         missing = [] if found is None else [p for p in found.proposed if p.label not in present]
         self._all.text = f"Add all {len(missing)}" if len(missing) > 1 else "Add it"
-        self._all.set_visibility(bool(missing) and not searching)
+        changed = session.inputs.mode == "changed"
+        self._all.set_visibility(bool(missing) and not (searching or changed))
         if found is not None and not searching:
-            self._list.show(*_findings(found, present, changed=session.inputs.mode == "changed"))
+            self._list.show(*_findings(found, present, changed=changed))
         else:
             self._list.show()
 
@@ -307,11 +308,11 @@ def _finding(proposed: ProposedEffect, *, present: bool, changed: bool) -> Marku
         errors = f"{figures(before)} → {figures(after)} N·m ({change})"
         tip = "unseen error of the joint: with all that was found but this, and with all"
         shown.append(part("number", errors, tip=tip))
-    if present:
-        shown.append(part("muted small", "shown" if changed else "in the model"))
-    else:
+    action = "" if present or changed else f"effect {label}"  # a kept fit keeps its effects
+    if action:
         shown.append(part("material-icons add", "add_circle", tip="add it and fit again"))
-    action = "" if present else f"effect {label}"
+    elif not changed:
+        shown.append(part("muted small", "in the model"))
     return part("finding candidate", *shown, id=f"candidate-{place(label)}", action=action)
 
 

@@ -47,11 +47,46 @@ new MutationObserver(() => {
   same?.focus({ preventScroll: true });
 }).observe(document, { childList: true, subtree: true });
 </script>"""
-# Waits for a chart that the browser has not made yet.
-_SET_OPTIONS = """(function set(options, whole) {
-  const chart = getElement(ID)?.chart;
-  if (chart) chart.setOption(options, whole); else setTimeout(() => set(options, whole), 20);
-})(OPTIONS, WHOLE);"""
+# What the browser does with charts, once it has made them. One that cannot be seen is drawn when it
+# is scrolled into view. A click on a chart emits its horizontal coordinate; dragging selects.
+CHARTS = """<script>
+function draw(id, options, whole) {
+  const chart = getElement(id)?.chart;
+  if (!chart) { setTimeout(() => draw(id, options, whole), 20); return; }
+  const place = chart.getDom();
+  const later = place.later;
+  if (!later || whole) place.later = { options, whole };
+  else {
+    const known = new Map((later.options.series ?? []).map((s) => [s.id, s]));
+    for (const s of options.series ?? []) known.set(s.id, { ...known.get(s.id), ...s });
+    const series = known.size ? { series: [...known.values()] } : {};
+    place.later = { options: { ...later.options, ...options, ...series }, whole: later.whole };
+  }
+  place.seen ??= new IntersectionObserver((found) => {
+    if (!found.at(-1).isIntersecting) return;
+    const { options, whole } = place.later;
+    chart.setOption(options, whole);
+    place.later = null;
+    place.seen.disconnect();
+  }, { rootMargin: '100px' });
+  place.seen.disconnect();
+  place.seen.observe(place);
+}
+function emitClicks(id, event) {
+  const chart = getElement(id)?.chart;
+  if (!chart) { setTimeout(() => emitClicks(id, event), 20); return; }
+  chart.getZr().on('click', (click) => {
+    const [x] = chart.convertFromPixel({ gridIndex: 0 }, [click.offsetX, click.offsetY]);
+    getElement(id).$emit(event, x);
+  });
+}
+function startBrush(id) {
+  const chart = getElement(id)?.chart;
+  if (!chart?.getOption()?.brush) { setTimeout(() => startBrush(id), 50); return; }
+  const brushOption = { brushType: 'lineX', brushMode: 'single' };
+  chart.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption });
+}
+</script>"""
 
 
 class View:
@@ -214,11 +249,17 @@ class Chart:
                 both = zip(options["series"], shown["series"], strict=True)
                 options["series"] = [_difference(new, old) for new, old in both if new != old]
         if options:
-            script = _SET_OPTIONS.replace("ID", str(self.element.id), 1)
-            script = script.replace("WHOLE", str(whole).lower(), 1)
-            self.element.client.run_javascript(
-                script.replace("OPTIONS", msgspec.json.encode(options).decode(), 1)
-            )
+            self.draw(options, whole=whole)
+
+    def draw(self, options: dict[str, Any], *, whole: bool = False) -> None:
+        """Merge options into those that the browser has, which are not compared with later ones."""
+        content = msgspec.json.encode(options).decode()
+        self.call("draw", f"{content}, {str(whole).lower()}")
+
+    def call(self, function: str, *arguments: str) -> None:
+        """Call one of the functions of `CHARTS`."""
+        script = f"{function}({', '.join([str(self.element.id), *arguments])})"
+        self.element.client.run_javascript(script)
 
     def run(self, method: str, *arguments: Any) -> None:
         """Run a method of the chart in the browser."""

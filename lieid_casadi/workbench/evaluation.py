@@ -168,8 +168,8 @@ def difference_tables(
     ]
 
 
-def effect_rows(fit: Fit, changes: Sequence[ProposedEffect]) -> tuple[EffectRow, ...]:
-    """Return one row per effect and joint, in the model's order, then the changes since."""
+def effect_rows(fit: Fit) -> tuple[EffectRow, ...]:
+    """Return one row per effect and joint, in the model's order."""
     values: dict[tuple[str, int], list[str]] = {}
     for row in fit.parameter_table():
         name, _, parameter = row["name"].rpartition(".")
@@ -182,9 +182,6 @@ def effect_rows(fit: Fit, changes: Sequence[ProposedEffect]) -> tuple[EffectRow,
         absorbed = f"{label} is not identifiable apart from the other parameters"
         shown = tuple(values.get((label, p.joint), ())) or (absorbed,)
         rows.append(EffectRow(p.label, joint, shown))
-    for c in changes:
-        joint = c.joints[0] - 1 if c.joints else None
-        rows.append(EffectRow(c.label, joint, (f"change: {c.value}",)))
     return tuple(rows)
 
 
@@ -276,7 +273,6 @@ def _proposed(step: Step, mode: str, errors: Array) -> ProposedEffect:
             value_text(name, value, step.std.get(name), step.units.get(name, ""))
             for name, value in step.parameters.items()
         ),
-        parameters=tuple(step.parameters.items()),
         status=step.status,
         sentence=finding([step], mode),
         group=step.group,

@@ -12,6 +12,7 @@ from lieid_casadi.workbench.arm_view import ArmView
 from lieid_casadi.workbench.commands import shell_lines
 from lieid_casadi.workbench.effects import EffectsView, FindingsView
 from lieid_casadi.workbench.elements import (
+    CHARTS,
     KEEP_FOCUS,
     View,
     button,
@@ -49,7 +50,7 @@ def build_page(workbench: Workbench, token: str) -> Callable[[], None]:
     """Build the page of a workbench; return the function that updates it."""
     style = resources.files("lieid_casadi.workbench").joinpath("page.css").read_text("utf-8")
     ui.add_css(style)
-    ui.add_body_html(KEEP_FOCUS)
+    ui.add_body_html(CHARTS + KEEP_FOCUS)
     ui.colors(primary="#0b4f8a")
     address = f"/?token={token}&session={workbench.name}"
     ui.add_head_html(f"<script>history.replaceState(null, '', {address!r})</script>")

@@ -51,26 +51,6 @@ NEAR = 0.03  # of the range of a spectrum: a click so near means a peak
 EXCLUDED = "#b0b6bc"
 LEGEND = {"top": 0, "right": 10, "itemHeight": 8, "textStyle": {"fontSize": 11}}
 Line = list[list[float | None]]  # [x, y] pairs; a pair of None interrupts the line
-# Dragging selects; a click shows the instant on the arm.
-_START_BRUSH = """(function start() {
-  const chart = getElement(ID)?.chart;
-  if (!chart) { setTimeout(start, 20); return; }
-  const brushOption = { brushType: 'lineX', brushMode: 'single' };
-  chart.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption });
-  chart.getZr().on('click', (event) => {
-    const [time] = chart.convertFromPixel({ gridIndex: 0 }, [event.offsetX, event.offsetY]);
-    getElement(ID).$emit('instant', time);
-  });
-})();"""
-
-_EMIT_FREQUENCY = """(function start() {
-  const chart = getElement(ID)?.chart;
-  if (!chart) { setTimeout(start, 20); return; }
-  chart.getZr().on('click', (event) => {
-    const [x] = chart.convertFromPixel({ gridIndex: 0 }, [event.offsetX, event.offsetY]);
-    getElement(ID).$emit('frequency', x);
-  });
-})();"""
 
 
 def torque_lines(
@@ -126,6 +106,7 @@ class TorquePlot(View):
         element.on("chart:datazoom", self._zoomed, throttle=0.12, leading_events=False)
         element.on("chart:brushEnd", self._brushed, ["areas"])
         element.on("instant", self._show_instant)
+        self._chart.call("emitClicks", "'instant'")
 
     def update(self) -> None:
         """Draw the current evaluation; the window of time stays if the recording does."""
@@ -167,13 +148,12 @@ class TorquePlot(View):
             _torque_options(span, lines, other, noise, unit, excluded), whole=new_recording
         )
         if new_recording:
-            chart = self._chart.element
-            chart.client.run_javascript(_START_BRUSH.replace("ID", str(chart.id)))
+            self._chart.call("startBrush")
 
     def move_cursor(self, time: float) -> None:
         """Show the time of the arm's pose."""
         line = {"id": "cursor", "markLine": {"data": [{"xAxis": round(time, 3)}]}}
-        self._chart.run("setOption", {"series": [line]})
+        self._chart.draw({"series": [line]})
 
     def _choose_recording(self, event: ValueChangeEventArguments[str | None]) -> None:
         workbench = self.workbench
@@ -550,8 +530,7 @@ class SpectrumPlot(SeriesView):
             options = _spectrum_options(self._frequency, self._amplitude, None, "N·m")
             self._chart = Chart("spectrum-plot", options)
         self._chart.element.on("frequency", self._clicked)
-        script = _EMIT_FREQUENCY.replace("ID", str(self._chart.element.id))
-        self._chart.element.client.run_javascript(script)
+        self._chart.call("emitClicks", "'frequency'")
 
     def draw(self, shown: Shown) -> None:
         """Draw the spectrum along the recording."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import atexit
 import errno
+import functools
 import hmac
 import logging
 import os
@@ -14,30 +15,25 @@ import socket
 import tempfile
 import threading
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from types import FrameType
 from urllib.parse import parse_qs
 
+import uvicorn
+from fastapi import FastAPI, Response
+from nicegui import Client, ui
+from nicegui import app as nicegui_app
+from starlette.datastructures import Headers
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
 from lieid_casadi.effects.registry import REGISTER
-from lieid_casadi.errors import LieidError, MissingDependency, UsageError
-
-try:
-    import uvicorn
-    from fastapi import FastAPI, Response
-    from nicegui import Client, ui
-    from nicegui import app as nicegui_app
-    from starlette.datastructures import Headers
-    from starlette.responses import PlainTextResponse
-    from starlette.types import ASGIApp, Message, Receive, Scope, Send
-except ImportError as error:
-    raise MissingDependency(
-        "lieid workbench needs NiceGUI: pip install 'lieid-casadi[workbench]'"
-    ) from error
-
+from lieid_casadi.errors import LieidError, UsageError
 from lieid_casadi.report import effect_page
+from lieid_casadi.workbench.arm import ArmMesh
 from lieid_casadi.workbench.evaluation import OpenedInputs
 from lieid_casadi.workbench.page import build_page
 from lieid_casadi.workbench.session import (
@@ -196,9 +192,26 @@ def serve(
     *,
     ready: Callable[[str], None],
 ) -> None:
-    """Serve the page until the process is asked to end.
+    """Serve the page until the process is asked to end; raises as `serve_pages`.
 
     ``inputs`` are what a new page opens; ``ready`` is called with the URL once it can be opened.
+    """
+    remove_old_sessions()
+    sessions = Sessions(inputs, setup)
+    pages = functools.partial(_pages, sessions)
+    serve_pages(pages, port, ready=ready, close=sessions.close)
+
+
+def serve_pages(
+    pages: Callable[[str], None],
+    port: int,
+    *,
+    ready: Callable[[str], None],
+    close: Callable[[], None],
+) -> None:
+    """Serve what ``pages`` registers for a token until the process is asked to end.
+
+    ``ready`` is called with the URL once it can be opened, ``close`` at the end.
 
     Raises
     ------
@@ -209,9 +222,11 @@ def serve(
     with listening_socket(port) as listener:
         token = secrets.token_urlsafe(24)
         url = f"http://{LOOPBACK}:{port}/?token={token}"
-        remove_old_sessions()
-        sessions = Sessions(inputs, setup)
-        app = _application(sessions, token)
+        pages(token)
+        app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+        ui.run_with(
+            app, show_welcome_message=False, reconnect_timeout=RECONNECT_SECONDS, tailwind=True
+        )
         hosts = {f"{LOOPBACK}:{port}", f"localhost:{port}"}
         config = uvicorn.Config(
             AccessControl(app, token=token, hosts=hosts, port=port),
@@ -224,13 +239,21 @@ def serve(
         )
         signal.signal(signal.SIGTERM, _end_quietly)  # uvicorn has stopped by then
         try:
-            _Server(config, lambda: ready(url), sessions.close).run(sockets=[listener])
+            _Server(config, lambda: ready(url), close).run(sockets=[listener])
         finally:
-            sessions.close()
+            close()
 
 
-def _application(sessions: Sessions, token: str) -> FastAPI:
-    """Return the application with the page, the meshes of its arms and the atlas of effects."""
+def mesh_file(meshes: Sequence[ArmMesh], number: int) -> Response:
+    """Return the file of a mesh, or that there is none."""
+    if not 0 <= number < len(meshes):
+        return Response(status_code=404)
+    header = {"Cache-Control": "no-store"}  # another arm has the same addresses
+    return Response(meshes[number].stl, media_type="model/stl", headers=header)
+
+
+def _pages(sessions: Sessions, token: str) -> None:
+    """Register the page, the meshes of its arms and the atlas of effects."""
 
     @ui.page("/", title="lieid workbench")
     async def index(client: Client, session: str = "") -> None:
@@ -251,20 +274,13 @@ def _application(sessions: Sessions, token: str) -> FastAPI:
     @nicegui_app.get("/mesh/{name}/{number}.stl")
     def mesh(name: str, number: int) -> Response:
         opened = sessions.opened(name)
-        if opened is None or not 0 <= number < len(opened.meshes):
-            return Response(status_code=404)
-        header = {"Cache-Control": "no-store"}  # another arm has the same addresses
-        return Response(opened.meshes[number].stl, media_type="model/stl", headers=header)
+        return mesh_file(() if opened is None else opened.meshes, number)
 
     @nicegui_app.get("/atlas/{label:path}")
     def atlas(label: str) -> Response:
         if label not in REGISTER:
             return Response(status_code=404)
         return Response(effect_page(label), media_type="text/html")
-
-    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
-    ui.run_with(app, show_welcome_message=False, reconnect_timeout=RECONNECT_SECONDS, tailwind=True)
-    return app
 
 
 def _end_quietly(number: int, frame: FrameType | None) -> None:

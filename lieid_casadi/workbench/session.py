@@ -161,7 +161,6 @@ class ProposedEffect:
     after: float | None
     rivals: tuple[tuple[str, str], ...] = ()
     value: str = ""
-    parameters: tuple[tuple[str, float], ...] = ()
     status: str = "named"
     sentence: str = ""
     group: int = 0
@@ -217,25 +216,19 @@ class StepErrors:
 class ModelStep:
     """One entry of the history: a model, and what is left out of the recordings.
 
-    ``effects`` are labels of all placements (``stribeck:4``), ``changes`` are those since a fit
-    that is kept, which are added to its torque. ``errors`` are None until they are computed.
+    ``effects`` are labels of all placements (``stribeck:4``); ``errors`` are None until they are
+    computed.
     """
 
     title: str
     effects: tuple[str, ...]
     excluded: tuple[ExcludedRange, ...] = ()
     errors: StepErrors | None = None
-    changes: tuple[ProposedEffect, ...] = ()
 
     @property
     def key(self) -> tuple[object, ...]:
         """What its torque depends on besides the inputs."""
-        return self.effects, self.excluded, self.changes
-
-    @property
-    def effects_and_changes(self) -> tuple[str, ...]:
-        """Labels of the effects of the model, then of the changes."""
-        return (*self.effects, *(change.label for change in self.changes))
+        return self.effects, self.excluded
 
 
 @dataclass(frozen=True)
@@ -296,16 +289,6 @@ class Session:
         new = [label for label in labels if label not in self.step.effects]
         title = f"+ {new[0]}" if len(new) == 1 else f"+ {len(new)} effects: {', '.join(new)}"
         return self.with_effects(title, (*self.step.effects, *new))
-
-    def with_changes(self, proposed: Sequence[ProposedEffect]) -> Session:
-        """Return the session with a further step, in which changes since the fit are added."""
-        step = self.step
-        assert step is not None
-        new = [change for change in proposed if change not in step.changes]
-        if not new:
-            return self
-        title = f"with the change {', '.join(change.label for change in new)}"
-        return self._then(replace(step, title=title, changes=(*step.changes, *new), errors=None))
 
     def without_effect(self, label: str) -> Session:
         """Return the session with an effect removed; unchanged if the model lacks it."""

@@ -225,9 +225,6 @@ class Workbench:
         if found is None or session.step is None:
             return
         chosen = [p for p in found.proposed if p.label in labels]
-        if session.inputs.mode == "changed":
-            await self.apply(session.with_changes(chosen))
-            return
         if not (
             found.model and chosen == list(found.proposed) and session.step.effects == found.effects
         ):

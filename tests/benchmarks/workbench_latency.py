@@ -52,12 +52,16 @@ EFFECTS = [
     for j in [(turn + k) % JOINTS + 1]
 ]
 COMPLETE = '[data-testid="verdict"][data-complete="true"]'
-# Ends once the number is new and each of the three charts was drawn since; see `measure`.
+# Ends once the number is new and every chart that can be seen was drawn since; see `measure`.
 CLICK = """
 const [name, done] = arguments;
 const find = (id) => document.querySelector(`[data-testid="${id}"]`);
 const begun = performance.now();
-const missing = new Set(["torque-plot", "residual-plot", "waterfall"]);
+const seen = (id) => {
+  const box = find(id).getBoundingClientRect();
+  return box.top < innerHeight && box.bottom > 0;
+};
+const missing = new Set(["torque-plot", "residual-plot", "waterfall"].filter(seen));
 for (const id of [...missing]) {
   const { chart } = getElement(find(id).id.slice(1));
   const drawn = () => { missing.delete(id); chart.off("rendered", drawn); };

@@ -70,17 +70,6 @@ def test_any_name_can_be_drawn(comparison, names):
         assert "noise" not in " ".join(t.get_text() for t in figure.legends[0].get_texts())
 
 
-def test_several_recordings_are_drawn_one_after_another():
-    fit = arm.fit()
-    given = [arm.recording(8.0, seed=s, noise=0.1, name=f"run {s}") for s in (2, 3)]
-    comparison = lieid.compare(fit, given)
-    figure = comparison.plot()
-    lines = figure.axes[0].get_lines()
-    first, second = lines[0].get_xdata(), lines[2].get_xdata()
-    assert first[-1] < second[0]
-    assert "recordings one after another" in figure.axes[-1].get_xlabel()
-
-
 def test_decimated_lines_keep_their_peaks():
     x = np.arange(200_000.0)
     y = np.sin(x / 900.0)

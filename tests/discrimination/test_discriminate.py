@@ -1,6 +1,5 @@
 """Motions that separate Stribeck from nonlinear viscous friction, checked independently."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from lieid_casadi import plant
 from lieid_casadi.discrimination import discriminate
 from lieid_casadi.discrimination.motion_search import independent_rate
 from lieid_casadi.discrimination.rival_effects import noncentrality_needed
-from lieid_casadi.errors import EffectError, ModelError, NoSolution
+from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation import Torque
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
@@ -192,11 +191,6 @@ def test_interrupted_search_keeps_the_best_so_far(fit, monkeypatch):
     assert design.seconds > 0.0
 
 
-def test_a_fit_without_noise_is_refused(fit):
-    with pytest.raises(ModelError, match="joint 2"):
-        discriminate(replace(fit, noise=np.array([0.1, 0.0])), RIVALS)
-
-
 def test_effect_of_the_fit_keeps_its_size(robot, train):
     fit = lieid.identify(lieid.Model(robot, [*EFFECTS, "viscous_polynomial:1"]), train)
     design = discriminate(fit, RIVALS, evaluations=110)
@@ -216,37 +210,3 @@ def test_a_rival_that_contains_the_other_is_separable_one_way(fit):
     assert "stribeck:1 from stribeck/exponent:1" in design.summary()
     with pytest.raises(NoSolution, match="sizes"):  # with an exponent of 2 they are one
         discriminate(fit, rivals)
-
-
-@pytest.mark.parametrize(
-    ("effects", "sizes", "words"),
-    [
-        (["stribeck", "viscous_polynomial:1"], {}, "one"),
-        (["stribeck:3", "viscous_polynomial:1"], {}, "3"),
-        (["temperature_friction:1", "stribeck:1"], {}, "temperature"),
-        (RIVALS, {"viscous_polynomial:1": (1.0, 2.0, 3.0)}, "f_v2, f_v3"),
-    ],
-)
-def test_invalid_effects_are_refused(fit, effects, sizes, words):
-    with pytest.raises(EffectError, match=words):
-        discriminate(fit, effects, sizes=sizes)
-
-
-@pytest.mark.parametrize("alias", ["armature:1", "payload"])
-def test_absorbed_effects_have_no_solution(fit, alias):
-    with pytest.raises(NoSolution, match=f"{alias}.*no data"):
-        discriminate(fit, [alias, "stribeck:1"])
-
-
-def test_saved_files_hold_the_motion_and_the_answer(design, tmp_path):
-    design.save(tmp_path / "out")
-    lines = (tmp_path / "out" / "trajectory.csv").read_text().splitlines()
-    comments = [line for line in lines if line.startswith("#")]
-    assert "# not checked: floor" in comments
-    table = np.genfromtxt(lines[len(comments) :], delimiter=",", names=True)
-    motion = design.motion()
-    assert np.allclose(table["q2"], motion.q[:, 1])
-    content = json.loads((tmp_path / "out" / "discriminate.json").read_text())
-    assert content == {"schema": 1} | json.loads(json.dumps(design.to_dict()))
-    assert content["seconds"] == content["periods"] * content["duration"]
-    assert (tmp_path / "out" / "discriminate.png").stat().st_size > 10_000

@@ -17,12 +17,10 @@ from lieid_casadi.errors import LieidWarning
 from lieid_casadi.report import (
     comparison_report,
     extension_report,
-    fit_report,
     premises_report,
     render,
 )
 from lieid_casadi.report.page import table_section
-from lieid_casadi.report.reports import anchors, fit_sections
 
 EVIL = "<script>alert(1)</script>"
 FETCHING = {"src", "href", "srcset", "data", "action", "poster", "background", "xlink:href"}
@@ -172,27 +170,3 @@ def test_effects_are_described_from_their_definitions(page, fit):
     ids = page.values("id")
     assert {f"effect-{p.effect.label}" for p in fit.model.placements} <= set(ids)
     assert {link[1:] for link in page.values("href") if link.startswith("#")} <= set(ids)
-
-
-def test_sections_join_in_their_order_and_fold():
-    sections = [
-        table_section("First", sentences=["one & only"]),
-        table_section("Second", sentences=["two"], folded=True),
-    ]
-    html = render("a < b", sections)
-    page = Page(html)
-    assert "one &amp; only" in html
-    text = " ".join(page.text)
-    assert text.index("First") < text.index("one & only") < text.index("Second")
-    assert page.tags.count("details") == 1
-    assert page.values("id") == ["section-1", "section-2"]
-    assert "a < b" in text
-
-
-def test_effects_that_the_fit_does_not_have_are_described_if_they_are_named(fit):
-    assert "cross-validated" in " ".join(Page(fit_report(fit)).text)  # without a test, too
-    page = Page(render("x", fit_sections(fit, named=["presliding", "stribeck/two_width", "no"])))
-    ids = page.values("id")
-    assert {"effect-presliding", "effect-stribeck-two_width", "effect-coulomb"} <= set(ids)
-    assert "effect-no" not in ids
-    assert anchors(["presliding", "no"]) == {"presliding": "effect-presliding"}

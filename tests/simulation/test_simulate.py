@@ -146,7 +146,7 @@ def test_command(tmp_path, capsys):
     in_mujoco(fit, seconds=3.0).save(tmp_path / "run.csv")
     words = ["simulate", str(tmp_path / "fit.json"), str(tmp_path / "run.csv"), "--window", "0.5"]
     files = ["-o", str(tmp_path / "sim.csv"), "--json", str(tmp_path / "sim.json")]
-    assert main([*words, *files, "--plot", str(tmp_path / "sim.png")]) == 0
+    assert main([*words, *files]) == 0
     result = json.loads((tmp_path / "sim.json").read_text())
     assert result["window"] == 0.5
     assert len(result["rms"]) == len(result["p95"]) == len(result["rms_whole"]) == 2

@@ -13,8 +13,8 @@ def start(tmp_path):
     """Start servers that are ended after the test."""
     servers = []
 
-    def started(*words: str) -> Server:
-        servers.append(Server(*words, folder=tmp_path / "sessions"))
+    def started(*words: str, **options) -> Server:
+        servers.append(Server(*words, folder=tmp_path / "sessions", **options))
         return servers[-1]
 
     yield started

@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -15,6 +15,7 @@ CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
 PICTURES = os.environ.get("LIEID_SCREENSHOTS")  # folder to keep pictures of the page in
 PATIENCE = 300.0  # s until a wait fails: longer than anything takes on a busy machine
 AGAIN = 5.0  # s after which a click is repeated whose effect is not seen
+WORKBENCH = ("-m", "lieid_casadi.cli.main", "workbench")
 PORTS = 5  # tried one after the other: another program may take a free one first
 
 
@@ -64,12 +65,14 @@ VIEWS = (
 
 
 class Server:
-    """``lieid workbench WORDS`` with its own folder of sessions."""
+    """``lieid workbench WORDS``, or a program with a page, with its own folder of sessions."""
 
-    def __init__(self, *words: str, folder: Path) -> None:
+    def __init__(self, *words: str, folder: Path, program: Sequence[str] = WORKBENCH) -> None:
         for _ in range(PORTS):
             self.port = free_port()
-            self._start(*words, folder=folder)
+            option = "--port" if program[-1] == "workbench" else "--page"
+            port = (option, str(self.port), "--no-browser")
+            self._start(*program, *words, *port, folder=folder)
             if self.url:
                 return
             errors = self.process.communicate()[1]
@@ -80,10 +83,12 @@ class Server:
     def _start(self, *words: str, folder: Path) -> None:
         """Start the process, and read its URL; it is empty if the process ended."""
         environment = os.environ | {"LIEID_WORKBENCH_DIR": str(folder)}
-        command = [sys.executable, "-m", "lieid_casadi.cli.main", "workbench", *words]
-        command += ["--no-browser", "--port", str(self.port)]
         self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment, text=True
+            [sys.executable, *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=environment,
+            text=True,
         )
         assert self.process.stdout is not None
         self.url = self.process.stdout.readline().strip()

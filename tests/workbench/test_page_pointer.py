@@ -144,3 +144,5 @@ def test_dropped_files_are_opened(start, browse, two_link_files):
     page.click("open")
     opened(page)
     assert page.driver.current_url.startswith(server.url.partition("?")[0])
+    page.click("play")
+    page.wait(lambda: page.number("instant") > 0.0, "the replay")

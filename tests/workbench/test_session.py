@@ -14,7 +14,6 @@ from lieid_casadi.workbench.commands import shell_lines
 from lieid_casadi.workbench.open_panel import first_values
 from lieid_casadi.workbench.session import (
     ExcludedRange,
-    ProposedEffect,
     RecordingInput,
     Session,
     SessionFileError,
@@ -43,6 +42,9 @@ def test_a_step_back_and_forward_restores_the_model():
     assert added.at(0).step == FIRST.step
     assert added.at(0).at(1) == added
     assert added.with_added("stribeck:2") is added
+    several = FIRST.with_added("coulomb:1", "stribeck:1", "stribeck:2")
+    assert several.step.effects == (*FIRST.step.effects, "stribeck:1", "stribeck:2")
+    assert several.step.title == "+ 2 effects: stribeck:1, stribeck:2"
 
 
 def test_a_new_step_replaces_those_that_were_undone():
@@ -56,17 +58,6 @@ def test_errors_belong_to_every_step_with_the_same_fit():
     both = back.with_errors(FIRST.step, errors)
     assert [step.errors for step in both.history] == [errors, None, errors]
     assert both.at_worst_joint().joint == 0
-
-
-def test_a_change_since_a_fit_is_a_step():
-    change = ProposedEffect("payload", "payload", (), 0, 1.0, 0.1, parameters=(("m", 0.4),))
-    session = FIRST.with_changes([change])
-    assert session.step.effects_and_changes == (*FIRST.step.effects, "payload")
-    assert session.step.key != FIRST.step.key
-    assert session.at(0).step == FIRST.step
-    assert session.with_changes([change]) is session
-    own = replace(change, label="coulomb:1")  # the model has this effect; its coefficient changed
-    assert FIRST.with_changes([own]).step.changes == (own,)
 
 
 @given(
@@ -133,14 +124,6 @@ def test_files_of_a_session_are_readable_by_their_owner_alone(folder):
     file = upload_file(NAME, "run.csv")
     assert file.stat().st_mode & 0o777 == 0o600
     assert file.parent.stat().st_mode & 0o777 == 0o700
-
-
-def test_effects_that_were_found_are_added_in_one_step():
-    added = FIRST.with_added("coulomb:1", "stribeck:1", "stribeck:2")
-    assert added.step.effects == (*FIRST.step.effects, "stribeck:1", "stribeck:2")
-    assert len(added.history) == 2
-    assert added.step.title == "+ 2 effects: stribeck:1, stribeck:2"
-    assert added.with_added("stribeck:1") is added
 
 
 def test_names_that_leave_the_folder_are_not_read(folder):

@@ -1,0 +1,168 @@
+"""A running experiment as a local page: its rounds, and the next motion on the arm.
+
+The experiment runs in the process of the command, the page in another one. What the command sends
+through a pipe replaces attributes of `Live`; what the user answers is sent back as one word.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib import resources
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from fastapi import Response
+from nicegui import app, ui
+
+from lieid_casadi.errors import LieidError
+from lieid_casadi.experiments import Experiment
+from lieid_casadi.experiments.folder import STATE, ExperimentFolder
+from lieid_casadi.report import data_uri
+from lieid_casadi.tables import html
+from lieid_casadi.workbench.arm import ArmMesh, ArmMotion
+from lieid_casadi.workbench.arm_view import BASE, ArmScene
+from lieid_casadi.workbench.elements import button, named, ratio, ratio_colour, set_text, text
+from lieid_casadi.workbench.server import mesh_file, serve_pages
+
+REFRESH = 0.3  # s between looks at what is new
+PAUSE_NOTE = "before the next motion; Ctrl-C in the terminal interrupts the one that runs"
+
+
+@dataclass
+class Live:
+    """What the page shows beside the rounds, which are in the folder.
+
+    ``unattended`` motions are run without a question unless the user pauses; ``motion`` is the next
+    one or the one that runs, ``sentences`` describe it, and while ``asks`` it waits for an answer.
+    """
+
+    robot: str
+    folder: Path
+    meshes: tuple[ArmMesh, ...]
+    unattended: bool
+    stage: str = ""
+    fraction: float = 0.0
+    begun: bool = False
+    paused: bool = False
+    asks: bool = False
+    sentences: tuple[str, ...] = ()
+    motion: ArmMotion | None = None
+    ended: str = ""
+
+
+def serve_experiment(pipe: Connection, port: int, live: Live) -> None:
+    """Serve the page; send its URL or an error first, then the answers of the user."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # stdout is the command's
+
+    def received() -> None:
+        try:
+            while pipe.poll():
+                vars(live).update(pipe.recv())
+        except (EOFError, OSError):  # the command has ended
+            os._exit(0)
+
+    def pages(token: str) -> None:
+        @ui.page("/", title="lieid experiment")
+        def index() -> None:
+            ExperimentView(live, pipe.send)
+
+        @app.get("/mesh/{number}.stl")
+        def mesh(number: int) -> Response:
+            return mesh_file(live.meshes, number)
+
+        @app.on_startup
+        def listen() -> None:
+            asyncio.get_running_loop().add_reader(pipe.fileno(), received)
+
+    try:
+        serve_pages(pages, port, ready=pipe.send, close=lambda: None)
+    except LieidError as error:
+        pipe.send(error)
+
+
+class ExperimentView:
+    """The page of one tab; ``answer`` sends a word to the experiment."""
+
+    def __init__(self, live: Live, answer: Callable[[str], None]) -> None:
+        self._live, self._answer = live, answer
+        self._drawn: float | None = None
+        ui.add_css(
+            resources.files("lieid_casadi.workbench").joinpath("page.css").read_text("utf-8")
+        )
+        ui.colors(primary="#0b4f8a")
+        with ui.row().classes("toolbar w-full items-center no-wrap"):
+            ui.label("lieid experiment").classes("brand")
+            text(f"{live.robot}, {live.folder}", "muted grow ellipsis")
+            with ui.column().classes("gap-0 progress"):
+                self._stage = text("", "small muted ellipsis w-full", "progress")
+                self._bar = ui.linear_progress(show_value=False, size="6px")
+            self._start = self._button("Start", "start-experiment", "start")
+            self._pause = button("Pause", "pause-experiment", self._toggle, "outline")
+            self._pause.props["title"] = PAUSE_NOTE
+            self._close = self._button("Close", "close-experiment", "close")
+        self._end = named(ui.label(""), "experiment-end").classes("verdict verdict-panel w-full")
+        with ui.element("div").classes("top-row experiment"):
+            with ui.column().classes("panel w-full"):
+                self._title = ui.label("").classes("panel-title")
+                self._text = named(ui.label(""), "next-motion").classes("verdict")
+                with ui.row() as self._question:
+                    self._button("Run it on the robot", "run-motion", "run")
+                    button(
+                        "End the experiment", "end-experiment", partial(answer, "end"), "outline"
+                    )
+                self._arm = ArmScene()
+            with ui.column().classes("panel w-full"):
+                ui.label("Rounds").classes("panel-title")
+                self._rounds = named(ui.html("", sanitize=False), "rounds").classes("difference")
+                self._picture = ui.image().props('alt="errors over the rounds"').classes("w-full")
+        self._arm.build(live.meshes, "/mesh")
+        ui.timer(REFRESH, self._update)
+
+    def _button(self, label: str, test_id: str, word: str) -> ui.button:
+        return button(label, test_id, partial(self._answer, word), "unelevated color=primary")
+
+    def _toggle(self) -> None:
+        """Pause before the next motion, or go on."""
+        self._live.paused = not self._live.paused
+        self._answer("pause" if self._live.paused else "continue")
+
+    def _update(self) -> None:
+        """Show what is new."""
+        live = self._live
+        set_text(self._stage, live.stage)
+        self._bar.value = live.fraction
+        self._start.set_visibility(not (live.begun or live.ended))
+        self._pause.set_visibility(live.unattended and live.begun and not live.ended)
+        self._pause.text = "Continue" if live.paused else "Pause"
+        self._close.set_visibility(bool(live.ended))
+        self._end.text = live.ended
+        self._end.set_visibility(bool(live.ended))
+        self._question.set_visibility(live.asks)
+        self._title.text = "Next motion" if live.asks or live.motion is None else "Last motion"
+        self._text.text = "\n".join(live.sentences) or "No motion is planned so far."
+        if live.motion is not None:
+            self._arm.limit(float(live.motion.times[0]), float(live.motion.times[-1]))
+            self._arm.show_motion(live.motion)
+            self._arm.play(live.asks)
+        file = live.folder / STATE
+        changed = file.stat().st_mtime if file.is_file() else None
+        if changed != self._drawn:
+            self._drawn = changed
+            self._draw()
+
+    def _draw(self) -> None:
+        """Show the rounds of the folder, and colour the arm by the errors of the last one."""
+        live = self._live
+        rounds = ExperimentFolder(live.folder, {}).rounds()
+        result = Experiment(live.robot, rounds, folder=live.folder)
+        last = rounds[-1].sentences if rounds else ()
+        self._rounds.set_content(html(*last, result.table()))
+        diagnosed = tuple(each for each in rounds if each.error)
+        if diagnosed:
+            multiples = map(ratio, diagnosed[-1].error, diagnosed[-1].noise_floor)
+            self._arm.colour([BASE, *map(ratio_colour, multiples)], None)
+            self._picture.set_source(data_uri(replace(result, rounds=diagnosed).plot()))
