@@ -50,7 +50,9 @@ def run(args: argparse.Namespace) -> output.Outcome:
     said = {finding.sentence for finding in found.findings}
     every = (w for r in (*recordings, *test) for w in r.warnings)
     warnings = [w for w in every if f"{w}." not in said]
-    unchecked = [f"Not checked: {premise} ({why})." for premise, why in found.not_checkable]
+    reasons = dict.fromkeys(why for _, why in found.not_checkable)
+    alike = ((why, [p for p, own in found.not_checkable if own == why]) for why in reasons)
+    unchecked = [f"Not checked: {', '.join(premises)} ({why})." for why, premises in alike]
     status = WRONG if found.verdict == "wrong" else 0
     return output.Outcome(
         (*shown(found), *unchecked, *warnings),

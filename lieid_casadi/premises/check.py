@@ -32,6 +32,8 @@ WRONG = 1.0 / 3.0
 SHOWS = 0.7
 #: The same for stated inertias, which are never exact.
 SHOWS_STATED = 0.4
+#: Error of stated centres of mass, m: a torque error that it gives is no finding.
+COM_ERROR, STANDARD_GRAVITY = 0.01, 9.81
 #: A finding needs a joint that shows it, and this decrease of the score.
 LEAST_SCORE = -0.6
 #: The same for alternatives without free values, which are then a doubt at most.
@@ -41,6 +43,9 @@ SHOWS_OF_SLOW, LEAST_OF_SLOW = 0.6, -2.0
 #: Least error without the correction on one of these joints, as part of its torque: less is the
 #: size of effects of drives, such as friction under load.
 LEAST_BEFORE = 0.04
+#: Largest motion of a joint, rad or m, of an arm at rest; least time, s, without the filter's
+#: edges, whose held-out parts show anything.
+AT_REST, SHORTEST = 0.02, 4.0
 #: Part of the instants at which a joint moves, from which its friction counts.
 LEAST_MOVING = 0.1
 #: Factor by which a correction may increase the error of a joint and still be certain.
@@ -109,11 +114,14 @@ def check(
     state = _State.of(arm, given)
     findings = list(state.findings)
     constant = samples.constant_torque(state.recordings)
-    if constant is not None:
-        why = tuple((p, "a torque is constant") for p in PREMISES if p not in SAMPLES_ALONE)
-        return PremiseCheck((*findings, constant), SAMPLES_ALONE, why)
+    reason = "a torque is constant" if constant is not None else _nothing_to_fit(state.samples)
+    if reason is not None:
+        findings += [] if constant is None else [constant]
+        why = tuple((p, reason) for p in PREMISES if p not in SAMPLES_ALONE)
+        return PremiseCheck(tuple(findings), SAMPLES_ALONE, why)
     report("velocity", 0.1)
     findings += _velocity(state)
+    given_errors = state.confirmed.base
     corrected: list[tuple[Finding, Correction]] = []
     for depth in range(DEPTH):
         found = _reversed(state) or _strongest(state, report, depth)
@@ -122,8 +130,13 @@ def check(
         corrected.append(found)
         state = state.corrected(found[1])
     findings += with_all_remedies(corrected, arm.n, given[0].corrections)
+    if any(finding.premise == "position_unit" for finding, _ in corrected):
+        findings = [f for f in findings if f.premise != "velocity_signal"]  # judged in that unit
     findings.sort(key=lambda f: (not f.certain, 1.0 if f.ratio is None else f.ratio))
-    findings = [*_mismatch(state), *findings]  # corrections that leave the arm unexplained are none
+    hopeless = (match.unexplained(given_errors) or 0.0) > match.OTHER
+    hopeless &= not any(finding.certain for finding in findings)
+    # corrections that leave the arm unexplained are none
+    findings = [*_mismatch(state, hopeless), *findings]
     if torque_signal.from_model(state.confirmed):
         findings.append(FROM_MODEL)
     findings += match.same_motions(given, tests)
@@ -141,6 +154,15 @@ FROM_MODEL = Finding(
     "Effects of the drives are not in it.",
     "record the measured torque or current of the joints",
 )
+
+
+def _nothing_to_fit(s: Samples) -> str | None:
+    """Return why no fit of these samples compares hypotheses, or None."""
+    if np.ptp(s.q, axis=0).max() < AT_REST:
+        return "no joint moves"
+    if len(s.t) * float(np.median(np.diff(s.t))) < SHORTEST:
+        return f"the recordings are shorter than {SHORTEST + 1.0:g} s"
+    return None
 
 
 def _require(robot: Robot, given: Sequence[Recording]) -> None:
@@ -174,6 +196,9 @@ class _State:
         """Return the recordings repaired, with stamps in a plausible unit."""
         made = [samples.repaired_recording(r, robot) for r in given]
         findings = [finding for recording in made for finding in samples.damages(recording)]
+        for k, recording in enumerate(made):
+            made[k], frozen = samples.without_frozen_torque(recording)
+            findings += frozen
         found = timing.suspected_unit(made[0])
         if found is not None:
             made = [replace(r, t=r.t * found.value["factor"]) for r in made]
@@ -269,9 +294,15 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
         clear = False
     by_stated = _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1])) and (shown_stated or not clear)
     kind = 1 if by_stated else 0
+    if not clear:
+        kind = int(np.argmin(ratios.min(axis=1)))
     certain = clear and _ratio(ratios[kind]) <= WRONG and bool(np.all(ratios[kind] < WORSE))
     if by_stated:  # on one joint alone, less is within the errors of stated inertias
         shown = ratios[1] < SHOWS_STATED
+        beyond = np.cumsum(full.robot.link_parameters[::10][::-1])[::-1]
+        moved = COM_ERROR * STANDARD_GRAVITY * beyond
+        if not np.any((ratios[1] < SHOWS) & (before.rms[1] > moved)):
+            return None
         plain = (before.relative[1] > match.SOUND) | ((before.driven < 0) & (after.driven > 0))
         certain &= shown.sum() > 1 or bool(np.any(shown & plain))
     return _finding(alternative, before, after, kind, certain=certain and not alternative.small)
@@ -361,6 +392,9 @@ def _numbers(values: Array) -> str:
 
 def _velocity(state: _State) -> list[Finding]:
     """Return what is wrong with the recorded velocity, judged by the free fit's error."""
+    jump = timing.jump(state.samples)
+    if jump is not None:
+        return [jump]
     found = timing.velocity(state.samples)
     if found is None:
         return []
@@ -370,23 +404,32 @@ def _velocity(state: _State) -> list[Finding]:
     return [replace(finding, certain=(finding.ratio or 1.0) <= WRONG)]
 
 
-def _mismatch(state: _State) -> list[Finding]:
-    """Return that the recording is of another arm, if no correction so far explains its torque."""
+def _mismatch(state: _State, hopeless: bool) -> list[Finding]:
+    """Return that the recording is of another arm, if no correction so far explains its torque.
+
+    It is certain, too, if the robot as it is given is ``hopeless`` and no correction is certain.
+    """
     errors = state.confirmed.base
     found = match.mismatch(errors)
     if found is None:
         return []
     certain, part = found
+    certain |= hopeless
     before = errors.rms[-1]
     basis = "geometry" if errors.stated is None else "geometry and inertias"
+    what = "This is probably a recording of another arm"
+    if not certain:
+        j = int(np.argmax(before)) + 1
+        what = (
+            f"This may be a recording of another arm, of a load, or of other torques on joint {j}"
+        )
     return [
         Finding(
             "robot_mismatch",
             _most(-before / errors.scale),
             {},
-            f"This is probably a recording of another arm: the stated {basis} leave "
-            f"{100.0 * part:.0f} % of the torque's rigid part unexplained, whatever order, sign, "
-            "zero, unit or mounting is assumed.",
+            f"{what}: the stated {basis} leave {100.0 * part:.0f} % of the torque's rigid part "
+            "unexplained, whatever order, sign, zero, unit or mounting is assumed.",
             "use the description of the arm that was recorded",
             certain=certain,
             error_before=_rounded(before),

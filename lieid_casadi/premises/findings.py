@@ -86,6 +86,8 @@ class PremiseCheck:
     @property
     def sentence(self) -> str:
         """The verdict in words."""
+        if not self.findings and len(self.not_checkable) > len(self.checked):
+            return "No premise was found to be wrong; most could not be checked."
         return {
             "wrong": "Robot and recording do not belong together as they are given.",
             "doubtful": "Robot and recording are consistent, with doubts.",

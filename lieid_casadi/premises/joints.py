@@ -191,17 +191,26 @@ def couplings(screen: Screen) -> Iterator[Alternative]:
 
 
 def degrees(screen: Screen) -> Iterator[Alternative]:
-    """Yield positions in degrees, where one is beyond a turn if it were in rad."""
+    """Yield positions in degrees, of all joints or of those beyond a turn if it were in rad."""
     turning = np.array([joint.revolute for joint in screen.robot.joints])
-    if float(np.abs(screen.thin.q[:, turning]).max(initial=0.0)) < TURN:
-        return
-    factor = np.where(turning, np.pi / 180.0, 1.0)
-    yield Alternative(
-        "position_unit", (), {"factor": round(np.pi / 180.0, 8), "unit": "deg"},
-        "The positions are in degrees, not in rad: with --units deg",
-        "--units deg",
-        replace(Correction.none(screen.n), position=np.diag(factor), torque=np.diag(factor)),
-    )  # fmt: skip
+    largest = np.abs(screen.thin.q).max(axis=0) * turning
+    far = (largest > TURN) & (np.radians(largest) < TURN)
+    some = [f"q{j + 1}" for j in np.flatnonzero(far)]
+    edit = f"convert {', '.join(some)} (dq and ddq of these joints alike) to rad"
+    for joints, which, remedy in (
+        (turning, "The positions", "--units deg"),
+        (far, f"The positions {', '.join(some)} alone", edit),
+    ):
+        if far.any():
+            factor = np.diag(np.where(joints, np.pi / 180.0, 1.0))
+            concerned = tuple(np.flatnonzero(joints)[:3].tolist()) if joints is far else ()
+            yield Alternative(
+                "position_unit", concerned, {"factor": round(np.pi / 180.0, 8), "unit": "deg"},
+                f"{which} are in degrees, not in rad: with {remedy}" if joints is turning
+                else f"{which} are in degrees, not in rad: {remedy}; then",
+                remedy,
+                replace(Correction.none(screen.n), position=factor, torque=factor),
+            )  # fmt: skip
 
 
 def alike(screen: Screen) -> str | None:

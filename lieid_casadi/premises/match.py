@@ -44,13 +44,10 @@ def mismatch(errors: Errors) -> tuple[bool, float] | None:
     part = unexplained(errors)
     if part is not None and part > SOUND:
         return part > OTHER, part
-    if part is None:
-        relative = errors.free.held_out / errors.scale
-        loaded = errors.scale > 0.2 * errors.scale.max()
-        left = float(np.sqrt(np.mean(relative[loaded] ** 2)))
-        if left > FREE_OTHER:
-            return False, left
-    return None
+    relative = errors.free.held_out / errors.scale
+    loaded = errors.scale > 0.2 * errors.scale.max()
+    left = float(np.sqrt(np.mean(relative[loaded] ** 2)))
+    return (False, left) if left > FREE_OTHER else None
 
 
 def same_motions(train: Sequence[Recording], tests: Sequence[Recording]) -> list[Finding]:

@@ -28,8 +28,9 @@ from lieid_casadi.recording.sample_timing import require_plausible_rate
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 #: Held-out parts, and the length of a block of time, s: blocks go to the parts in turn. Errors
-#: within a block are correlated, between blocks hardly.
-PARTS, BLOCK_SECONDS = 4, 1.5
+#: within a block are correlated, between blocks hardly. Short recordings have shorter blocks, so
+#: that each part has two.
+PARTS, BLOCK_SECONDS, SHORTEST_BLOCK = 4, 1.5, 0.25
 #: Own columns of a joint: rotor inertia, Coulomb, viscous friction, offset; and friction of the
 #: last two joints, which often share a gear, on the sum and difference of their motions.
 OWN, VISCOUS, FRICTION = 7, 2, [1, 2, 4, 5, 6]
@@ -121,26 +122,24 @@ def samples_of(recordings: Sequence[Recording], *, most: int = 2400) -> Samples:
     chosen = np.median([choose_cutoff(recording) for recording in bare])
     cutoff = float(np.clip(chosen, LOWEST_CUTOFF, HIGHEST_CUTOFF))
     cutoff = min(cutoff, CUTOFF_OVER_RATE * min(r.rate for r in recordings))
+    segments = [
+        (recording, segment)
+        for recording, without in zip(recordings, bare, strict=True)
+        for segment in process(without, Processing(cutoff=cutoff))
+    ]
+    duration = sum(float(np.ptp(segment.filtered_time)) for _, segment in segments)
+    seconds = np.clip(duration / (2 * PARTS), SHORTEST_BLOCK, BLOCK_SECONDS)
     made, first = list[Samples](), 0
-    for recording, without in zip(recordings, bare, strict=True):
-        for segment in process(without, Processing(cutoff=cutoff)):
-            assert segment.tau is not None
-            t = segment.filtered_time
-            signals = [
-                segment.q,
-                segment.dq,
-                segment.ddq,
-                segment.tau,
-                _velocity(recording, segment.t),
-            ]
-            q, dq, ddq, tau, measured = np.moveaxis(segment.filter(np.stack(signals, 1)), 1, 0)
-            block = first + ((t - t[0]) / BLOCK_SECONDS).astype(np.intp)
-            first = int(block[-1]) + 1
-            stretch = np.full(len(t), len(made))
-            moving = segment.filtered_moving
-            made.append(
-                Samples(t, q, dq, ddq, tau, moving, block, stretch, measured, 0.44 / cutoff)
-            )
+    for recording, segment in segments:
+        assert segment.tau is not None
+        t, velocity = segment.filtered_time, _velocity(recording, segment.t)
+        signals = [segment.q, segment.dq, segment.ddq, segment.tau, velocity]
+        q, dq, ddq, tau, measured = np.moveaxis(segment.filter(np.stack(signals, 1)), 1, 0)
+        block = first + ((t - t[0]) / seconds).astype(np.intp)
+        first = int(block[-1]) + 1
+        stretch = np.full(len(t), len(made))
+        moving = segment.filtered_moving
+        made.append(Samples(t, q, dq, ddq, tau, moving, block, stretch, measured, 0.44 / cutoff))
     fields: dict[str, Any] = {f: np.concatenate([getattr(m, f) for m in made]) for f in PER_ROW}
     joined = replace(made[0], **fields)
     every = -(-len(joined.t) // most)

@@ -22,6 +22,9 @@ from lieid_casadi.robot import Robot
 #: Positions that repeat while the arm moves count as held from this part of the rows, and this
 #: many; an arm moves if it covers this angle within a quarter of a second, rad.
 HELD, FEWEST_HELD, MOVES, WITHIN = 0.3, 20, 0.005, 0.25
+#: Time for which torques stay the same, s, and the way of a joint in it, rad or m, from which the
+#: torques count as not recorded.
+FROZEN, FAR_MOVED = 0.5, 0.05
 #: Outliers, which are left out on reading, from which the sensors are in doubt.
 FEWEST_OUTLIERS = 3
 
@@ -69,6 +72,29 @@ def _held(recording: Recording) -> list[Finding]:
             f"{recording.title}: {count} rows repeat the positions of the row before although the "
             f"arm moves: the positions have a rate of about {rate:.3g} Hz.",
             "record at the rate of the positions, or leave the repeated rows out",
+        )
+    ]  # fmt: skip
+
+
+def without_frozen_torque(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """Leave out rows in which all torques stay the same while the arm moves on, and report them."""
+    t, tau = recording.t, np.asarray(recording.tau)
+    same = np.concatenate([[False], np.all(np.diff(tau, axis=0) == 0.0, axis=1), [False]])
+    starts, ends = np.flatnonzero(np.diff(same.astype(int))).reshape(-1, 2).T
+    frozen = np.zeros(len(t), dtype=bool)
+    for a, b in zip(starts, ends, strict=True):  # rows a + 1 to b repeat row a
+        moved = np.ptp(recording.q[a : b + 1], axis=0).max()
+        frozen[a + 1 : b + 1] = t[b] - t[a] > FROZEN and moved > FAR_MOVED
+    if not frozen.any() or np.any(np.ptp(tau, axis=0) == 0.0):
+        return recording, []
+    count, first = int(frozen.sum()), float(t[int(np.argmax(frozen))])
+    return recording.at(~frozen), [
+        Finding(
+            "held_samples", (), {"samples": count},
+            f"{recording.title}: all torques stay the same in {count} rows from t = {first:.4g} s "
+            "on, although the arm moves: they were not recorded there. The other rows were "
+            "checked.",
+            f"leave these rows out, as with {recording.title}@:{first:.4g}",
         )
     ]  # fmt: skip
 

@@ -37,6 +37,8 @@ CONSTANTS = np.geomspace(0.01, 1.0, 25)
 NOT_DERIVATIVE, BY_FILTER = 0.15, 0.5
 #: The same of slow motion, if a filter or delay of at least so many seconds explains it.
 NOT_DERIVATIVE_SLOW, LONG_LAG = 0.05, 0.05
+#: Part of the instants that has most of the error of a velocity where a position jumps.
+JUMP_PART, MOST_OF_JUMP = 0.05, 0.9
 #: Relative size of a recorded velocity that counts as zero.
 ZERO_VELOCITY = 1e-3
 
@@ -107,6 +109,30 @@ def with_measured_velocity(s: Samples) -> Samples:
         at = np.flatnonzero(s.segment == stretch)
         ddq[at] = np.gradient(s.measured[at], s.t[at], axis=0) if len(at) > 2 else 0.0
     return replace(s, dq=s.measured, ddq=ddq)
+
+
+def jump(s: Samples) -> Finding | None:
+    """Return where positions and recorded velocity contradict each other at one instant, or None.
+
+    As where an encoder loses counts: the velocity explains the motion before and after it.
+    """
+    if not np.all(np.isfinite(s.measured)):
+        return None
+    size = np.sqrt(np.mean(s.dq**2, axis=0))
+    squares = ((s.measured - s.dq) / np.maximum(size, 1e-3 * size.max())) ** 2
+    wrong = np.sqrt(squares.mean(axis=0)) > NOT_DERIVATIVE
+    sums = np.sort(squares[:, wrong].sum(axis=1))[::-1].cumsum()
+    if not wrong.any() or np.searchsorted(sums, MOST_OF_JUMP * sums[-1]) > JUMP_PART * len(s.t):
+        return None
+    joints = np.flatnonzero(wrong)[:3]
+    t = float(s.t[int(np.argmax(squares[:, wrong].sum(axis=1)))])
+    names = ", ".join(str(j + 1) for j in joints)
+    return Finding(
+        "velocity_signal", tuple(joints.tolist()), {"seconds": 0.0},
+        f"At t = {t:.4g} s, and hardly elsewhere, the recorded velocity is not the derivative of "
+        f"the position (joint {names}): the position jumps there, or the velocity is wrong.",
+        f"use the parts before and after: REC@:{t - s.window:.4g} or REC@{t + s.window:.4g}:",
+    )  # fmt: skip
 
 
 def velocity(s: Samples) -> Alternative | None:

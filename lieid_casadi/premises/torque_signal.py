@@ -79,6 +79,7 @@ def units(screen: Screen) -> Iterator[Alternative]:
     current = ",".join(f"i{j + 1}=tau{j + 1}" for j in range(screen.n))
     remedy = f"--columns {current} --torque-constants {constants}"
     words = "in other units, such as amperes" if unit == "A" else f"in {unit}"
+    words += ", or a current in mA" if unit == "N·cm" else ""
     yield Alternative(
         "torque_unit",
         tuple(np.argsort(-stated.own)[:3].tolist()),

@@ -204,7 +204,62 @@ def test_a_torque_that_was_not_recorded_hides_the_rest(run):
     (first,) = found.findings
     assert (found.verdict, first.premise, first.joints) == ("doubtful", "clipped", (2,))
     assert "not recorded" in first.sentence
-    assert "joint_order" in dict(found.not_checkable)
+
+
+def with_jump(run):
+    q = run.q.copy()
+    q[1000:, 1] += 0.3
+    return replace(run, q=q)
+
+
+def frozen(run):
+    tau = run.tau.copy()
+    tau[1200:] = tau[1199]
+    return replace(run, tau=tau)
+
+
+@pytest.mark.parametrize(
+    ("change", "premise", "joints", "words"),
+    [
+        (with_jump, "velocity_signal", (1,), "At t = 9.98"),
+        (frozen, "held_samples", (), "from t = 12 s on"),
+        (lambda r: replace(r, q=r.q * np.where(np.arange(N) == 2, 180 / np.pi, 1)),
+         "position_unit", (2,), "convert q3 "),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_part_of_a_recording(run, change, premise, joints, words):
+    """It is no other arm, and no unit of all joints."""
+    findings = lieid.check(ROBOT, change(run)).findings
+    (found,) = [f for f in findings if f.premise == premise]
+    assert found.joints == joints
+    assert words in found.sentence
+    assert "robot_mismatch" not in {f.premise for f in findings}
+
+
+def test_encoder_counts_are_not_taken_for_degrees(run):
+    found = lieid.check(ROBOT, replace(run, q=run.q * 2**17 / (2.0 * np.pi)))
+    assert "position_unit" not in {f.premise for f in found.findings}
+
+
+def test_three_wrong_premises_are_never_a_doubt(run):
+    """Even where no correction that is tried explains the recording."""
+    wrong = corrected(run, "--joint-order 1 3 2 4 5 6", "--torque-sign 1 1 1 -1 1 1")
+    arm = replace(ROBOT, gravity=gravity_of((0.0, np.pi / 2, 0.0)))
+    assert lieid.check(arm, wrong).verdict == "wrong"
+
+
+@pytest.mark.parametrize(
+    ("part", "why"),
+    [
+        (lambda r: r.rows(0, 300), "shorter than 5 s"),
+        (lambda r: replace(r, q=0.0 * r.q, dq=0.0 * r.dq), "no joint moves"),
+        (lambda r: replace(r, tau=r.tau * [1, 1, 0, 1, 1, 1]), "a torque is constant"),
+    ],
+)
+def test_recordings_that_show_nothing_are_not_of_another_arm(run, part, why):
+    found = lieid.check(ROBOT, part(run))
+    assert found.verdict != "wrong"
+    assert dict(found.not_checkable)["joint_order"].endswith(why)
 
 
 def test_what_a_check_needs(run):
