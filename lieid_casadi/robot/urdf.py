@@ -242,13 +242,17 @@ def serial_chain(
         if name not in {joint.name for joint in movable}:
             known = ", ".join(joint.name for joint in movable)
             raise RobotError(f"{origin}: no movable joint {name!r}; joints are {known}")
-    free = [joint for joint in movable if joint.name not in lock]
+    free = {joint.name: joint for joint in movable if joint.name not in lock}
+
+    def chain_to(link: str) -> list[UrdfJoint]:
+        return [joint for joint in path_to_root(link, parents, origin) if joint.name in free]
+
     if tip is not None:
-        chain = [joint for joint in path_to_root(tip, parents, origin) if joint in free]
+        chain = chain_to(tip)
     else:
-        paths = [[j for j in path_to_root(j.child, parents, origin) if j in free] for j in free]
-        chain = max(paths, key=len, default=[])
-        branch = [joint.name for joint in free if joint not in chain]
+        chain = max((chain_to(joint.child) for joint in free.values()), key=len, default=[])
+        inside = {joint.name for joint in chain}
+        branch = [name for name in free if name not in inside]
         if branch:
             raise RobotError(
                 f"{origin}: not one serial chain: {', '.join(branch)} "

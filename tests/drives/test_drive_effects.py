@@ -90,13 +90,9 @@ def test_delay_of_commands(runs):
 
 
 def test_deadband(runs):
-    _, found = fitted(with_torque(with_deadband(runs[0])), "deadband:2")
+    """The value, and the prediction of another recording with it."""
+    fit, found = fitted(with_torque(with_deadband(runs[0])), "deadband:2")
     assert found["deadband.d"] == pytest.approx(BAND, rel=0.1)
-
-
-def test_prediction_contains_the_effects_of_the_drive(runs):
-    recording = with_torque(with_deadband(runs[0]))
-    fit, _ = fitted(recording, "deadband:2")
     other = with_torque(with_deadband(runs[1]))
     assert lieid.compare(fit, other).rms_moving[1] < 2.0 * fit.rms_cv[1]
 

@@ -103,14 +103,14 @@ def test_real_arms(path, lock, count):
     check(robot)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_arms(seed):
     rng = np.random.default_rng(seed)
     check(random_arm(rng, 2 + seed % 8))
 
 
 @given(seed=st.integers(0, 10_000), n=st.integers(2, 6))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_columns_are_scanned_from_the_first(seed, n):
     """Every kept column is independent of those before it, every dropped one is not."""
     robot = random_arm(np.random.default_rng(seed), n)
@@ -137,9 +137,3 @@ def test_lift_gives_the_base_values_back_nearest_to_the_prior():
     np.testing.assert_allclose(base.combination @ lifted, values, atol=1e-12)
     null = np.linalg.svd(base.combination)[2][base.count :]
     assert np.abs(null @ (lifted - robot.link_parameters)).max() < 1e-12
-
-
-def test_expressions_name_link_parameters():
-    base = base_parameters(robots.two_link())
-    assert base.names[base.kept[0]] == base.expression(0).split()[0]
-    assert all(base.expression(k) for k in range(base.count))

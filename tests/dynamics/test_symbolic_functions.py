@@ -73,17 +73,6 @@ def symmetric(upper):
     return np.triu(upper) + np.triu(upper, 1).T
 
 
-def test_coriolis_matrix_is_passive(arm, functions):
-    """Ṁ − 2C is skew-symmetric, with Ṁ by CasADi's directional derivative."""
-    q, dq = ca.SX.sym("q", arm.robot.n), ca.SX.sym("dq", arm.robot.n)
-    mass = functions.mass_matrix(q)
-    rate = ca.reshape(ca.jtimes(ca.vec(mass), q, dq), mass.shape) - 2 * functions.coriolis(q, dq)
-    skew = ca.Function("skew", [q, dq], [ca.densify(rate + rate.T)])
-    for angle, speed, _ in arm.moments[:3]:
-        scale = np.abs(functions.coriolis(angle, speed).full()).max()
-        assert np.abs(skew(angle, speed).full()).max() <= 1e-11 * max(scale, 1.0)
-
-
 def test_numbers_sx_and_mx_agree(arm, functions):
     if is_refused(arm, functions):
         return

@@ -64,17 +64,6 @@ def test_the_loop_is_the_same_at_any_rate(rate):
     assert error.max() < 100.0 / rate**3
 
 
-def test_a_closed_loop_dissipates_energy():
-    t = np.linspace(0.0, 4 * np.pi, 8001)
-    arm = lieid.compile(lieid.Model(ROBOT, "presliding:2"))
-    q, dq = loop(t)
-    torque = arm.effect_columns(q, dq, 0 * q, time=t, shapes=[WIDTH])[:, 1, 0]
-    period = np.arange(4000, 8001)  # the second of two that are alike
-    work = np.trapezoid(torque[period] * dq[period, 1], t[period])
-    distance = np.trapezoid(np.abs(dq[period, 1]), t[period])
-    assert 0.5 * distance < work < distance  # Coulomb friction: equal to the distance
-
-
 def test_lugre_solves_its_equation():
     width, excess, stribeck = 0.02, 0.5, 0.3
 
@@ -89,17 +78,6 @@ def test_lugre_solves_its_equation():
     columns = hysteresis(t, label="presliding/lugre", shapes=[width, excess, stribeck])
     np.testing.assert_allclose(columns[:, 0], z / width, atol=2e-2)
     assert np.median(np.abs(columns[:, 1] - rate)) < 2e-3
-
-
-def test_steady_sliding_is_coulomb_with_the_stribeck_curve():
-    t = np.arange(0.0, 4.0, 0.01)
-    q = np.column_stack([0.1 * t, -0.5 * t])
-    dq = np.tile([0.1, -0.5], (len(t), 1))
-    arm = lieid.compile(lieid.Model(ROBOT, "presliding/lugre"))
-    last = arm.effect_columns(q, dq, 0 * q, time=t, shapes=[0.01, 0.4, 0.2] * 2)[-1]
-    expected = [1 + 0.4 * np.exp(-((0.1 / 0.2) ** 2)), -(1 + 0.4 * np.exp(-((0.5 / 0.2) ** 2)))]
-    np.testing.assert_allclose([last[0, 0], last[1, 2]], expected, rtol=1e-6)
-    np.testing.assert_allclose([last[0, 1], last[1, 3]], 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("samples", [1, 2, STEPS, STEPS + 1, 3 * STEPS + 5])
@@ -163,17 +141,6 @@ def test_state_is_reset_at_each_segment(hysteretic):
     # the second part alone starts with z = 0, inside the whole it does not
     inside = fit.predict(whole)[np.searchsorted(whole.t, 3.4)]
     assert np.abs(inside - fit.predict(second)[0]).max() > 0.1
-
-
-def test_a_fit_with_memory_is_saved_and_loaded(hysteretic, tmp_path):
-    t = np.arange(0.0, 6.0, 0.002)
-    recording = run(hysteretic, 2, t)
-    fit = lieid.identify(
-        lieid.Model(ROBOT, "viscous,presliding"), recording, processing=Processing(cutoff=10.0)
-    )
-    fit.save(tmp_path / "fit.json")
-    again = lieid.Fit.load(tmp_path / "fit.json")
-    np.testing.assert_array_equal(again.predict(recording), fit.predict(recording))
 
 
 def test_columns_need_states():

@@ -57,34 +57,6 @@ def test_file_and_symbolic_torque_are_those_of_the_fit(run, kind, tmp_path):
     np.testing.assert_allclose(by_casadi, by_c, rtol=0, atol=1e-10)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_derivatives_are_those_of_finite_differences(kind):
-    fit_model = lieid.Model(PANDA, [f"smooth/{kind}:4"])
-    general = lieid.symbolic(fit_model, smooth_velocity=0.01)
-    tau = general.inverse_dynamics
-    names = tau.name_in()
-    rng = np.random.default_rng(0)
-    values = {
-        "effects": rng.normal(size=len(fit_model.columns)),
-        "shapes": fit_model.initial_shapes,
-        "parameters": PANDA.link_parameters,
-    }
-    values |= {name: 0.7 * rng.uniform(-1.0, 1.0, 7) for name in ("q", "dq", "ddq")}
-    symbols = [ca.MX.sym(name, tau.size1_in(name)) for name in names]
-    out = tau(*symbols)
-    for name in ("q", "dq", "ddq"):
-        slope = ca.Function("j", symbols, [ca.jacobian(out, symbols[names.index(name)])])
-        exact = slope(*(values[k] for k in names)).full()
-        for k in range(7):
-            step = np.zeros(7)
-            step[k] = 1e-6
-            ends = [
-                tau(**(values | {name: values[name] + sign * step})).get("tau").full()[:, 0]
-                for sign in (1.0, -1.0)
-            ]
-            np.testing.assert_allclose(exact[:, k], (ends[0] - ends[1]) / 2e-6, atol=1e-5)
-
-
 @pytest.mark.parametrize("kind", ["q", "dq", "q5", "q.dq", "dq.q5"])
 def test_zero_where_the_data_do_not_reach(run, kind):
     fit = fitted(run, f"smooth/{kind}:4")

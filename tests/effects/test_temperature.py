@@ -48,18 +48,6 @@ def test_exponential_viscous_friction_carries_over_to_another_temperature(warmin
     assert np.all(error_on(hot, fit) < 0.03)
 
 
-def test_a_processed_segment_and_its_recording_are_predicted_alike(warming):
-    cold, hot = warming
-    fit = lieid.identify(
-        lieid.Model(ROBOT, "coulomb,viscous,temperature_friction"), cold, processing=OPTIONS
-    )
-    (segment,) = process(hot, fit.processing)
-    raw = np.column_stack([np.interp(segment.t, hot.t, column) for column in fit.predict(hot).T])
-    inside = slice(20, -20)
-    difference = segment.filter(raw)[inside] - fit.predict_processed(segment)[inside]
-    assert np.abs(difference).max() < 0.02
-
-
 def test_a_recording_without_temperature_is_refused(warming):
     cold, _ = warming
     model = lieid.Model(ROBOT, "coulomb,viscous,temperature_friction")

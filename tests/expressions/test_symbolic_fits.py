@@ -284,16 +284,6 @@ def test_load_friction_that_leaves_the_acceleration_undetermined_is_refused():
             assert arm.forward_dynamics.name_in() == ["q", "dq", "tau"]
 
 
-def test_implicit_derivatives_take_fewer_instructions():
-    """Fewer than the derivative of the solution: 28 % on the Panda, 52 % on the UR10e."""
-    arm = symbolic(PANDA)
-    plain = arm.forward_dynamics
-    inputs = [plain.sx_in(name) for name in plain.name_in()]
-    slopes = [ca.jacobian(plain(*inputs), x) for x in inputs]
-    solution = ca.Function("solution", inputs, slopes, {"cse": True})
-    assert arm.forward_dynamics_derivatives.n_instructions() < 0.75 * solution.n_instructions()
-
-
 @pytest.mark.parametrize("width", [0.0, -1.0, np.nan])
 def test_a_smooth_velocity_is_positive(width):
     with pytest.raises(ModelError, match="smooth_velocity"):

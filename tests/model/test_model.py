@@ -21,12 +21,9 @@ def test_placements_follow_the_order_of_the_text():
     assert labels[:2] == ["viscous:7", "viscous:2"]
     assert labels[-1] == "transmission_coupling:5<6"
     assert model.effects == ["viscous:7+2", "coulomb", "transmission_coupling:5<6"]
-
-
-def test_python_counts_joints_from_zero():
-    model = lieid.Model(lieid.robots.panda()).with_effect("stribeck", joints=[3])
-    assert model.effects == ["stribeck:4"]
-    assert [s.joint for s in model.shapes] == [3]
+    more = model.with_effect("stribeck", joints=[3])  # Python counts from 0
+    assert more.effects[-1] == "stribeck:4"
+    assert [s.joint for s in more.shapes] == [3]
 
 
 @pytest.mark.parametrize(
@@ -80,55 +77,6 @@ def test_wrong_shapes_are_named(bad):
     arm = lieid.compile(lieid.Model(lieid.robots.two_link()))
     with pytest.raises(ModelError, match="expected"):
         arm.regressor(np.zeros((3, 2)), bad, np.zeros((3, 2)))
-
-
-def by_hand(name, s, shape):
-    """The formulas of the library in NumPy."""
-    q, dq, ddq, sign, load = (s[k] for k in ("q", "dq", "ddq", "sign", "load"))
-    speed = np.sqrt(dq**2 + 1e-6)
-    return {
-        "coulomb": [sign],
-        "viscous": [dq],
-        "offset": [np.ones_like(q)],
-        "viscous_polynomial": [sign * dq**2, dq**3],
-        "viscous_asymmetric": [np.abs(dq)],
-        "stribeck": [sign * np.exp(-((dq / shape[0]) ** 2))] if shape else None,
-        "load_friction": [np.abs(load) * sign],
-        "load_friction/paper": [
-            np.abs(load) * sign,
-            np.exp(-shape[0] * np.abs(load) / speed) * sign,
-        ]
-        if shape
-        else None,
-        "load_friction/motoring": [
-            np.where(load * sign > 0, np.abs(load), 0) * sign,
-            np.where(load * sign < 0, np.abs(load), 0) * sign,
-        ],
-        "armature": [ddq],
-    }[name]
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "coulomb", "viscous", "offset", "viscous_polynomial", "viscous_asymmetric", "stribeck",
-        "load_friction", "load_friction/paper", "load_friction/motoring", "armature",
-    ],
-)  # fmt: skip
-def test_formulas_against_numpy(name):
-    rng = np.random.default_rng(1)
-    effect = make(name)
-    values = {k: rng.normal(size=30) for k in ("q", "dq", "ddq", "load")}
-    values["dq"][:5] = 0.0
-    values["sign"] = np.sign(values["dq"])
-    symbols = {k: ca.SX.sym(k) for k in values}
-    shape = {s.name: ca.SX(s.initial) for s in effect.shapes}
-    signals = Signals(**symbols, temperature=ca.SX(0), time=ca.SX(0))
-    columns = ca.vertcat(*effect.columns(signals, shape))
-    function = ca.Function("f", list(symbols.values()), [columns])
-    result = np.array([np.array(function(*v)).ravel() for v in zip(*values.values(), strict=True)])
-    expected = by_hand(name, values, [s.initial for s in effect.shapes])
-    np.testing.assert_allclose(result.T, expected, rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", sorted(REGISTER))
