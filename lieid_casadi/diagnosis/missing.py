@@ -34,6 +34,7 @@ from lieid_casadi.effects import Placement
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     LieidError,
+    NoSolution,
     SameRecordingWarning,
     unique_warnings,
 )
@@ -156,7 +157,7 @@ class MissingEffects:
             ),
             train=first.provenance.recordings,
             test=tuple(Source(r.name, r.source_hash) for r in self.tests),
-            motion=self._motion_gain(first, fit),
+            motion=self._motion_gain([], fit),
             limits_reached=("most_steps",) if len(last.slots) >= options.most_steps else (),
             seed=seed,
         )
@@ -215,7 +216,7 @@ class MissingEffects:
         self.gains = {}
         for found in reversed(accepted if self.unseen is not None else []):
             label, others = found.placement.label, [a for a in accepted if a is not found]
-            gain = self._motion_gain(self._fitted(others), fit)
+            gain = self._motion_gain(others, fit)
             if gain is None:
                 continue
             if not gain.fall > self.options.gain_deviations * gain.std:
@@ -227,14 +228,14 @@ class MissingEffects:
             self.gains[label] = gain
         return accepted
 
-    def _motion_gain(self, before: Fit, after: Fit) -> MotionGain | None:
-        """Compare the motion that two fits predict on held-out data; None if that cannot be done.
+    def _motion_gain(self, others: Sequence[Accepted], fit: Fit) -> MotionGain | None:
+        """Compare a fit on held-out data with that of fewer effects; None if it cannot be done.
 
         That is of arms without commands, and with masses that are not positive, which method
         ``feasible`` excludes.
         """
         try:
-            return None if self.unseen is None else self.unseen.gain(before, after)
+            return None if self.unseen is None else self.unseen.gain(self._fitted(others), fit)
         except LieidError:
             return None
 
@@ -290,11 +291,28 @@ class MissingEffects:
     def _plausible(self, added: list[Accepted]) -> tuple[Fit, list[Accepted]]:
         """Return the fit with effects of plausible values, and these effects."""
         while True:
-            fit = self._fitted(added)
+            try:
+                fit = self._fitted(added)
+            except NoSolution:
+                added = self._first_half(added)
+                continue
             kept = self._with_plausible_values(fit, added)
             if len(kept) == len(added):
                 return fit, kept
             added = kept
+
+    def _first_half(self, added: Sequence[Accepted]) -> list[Accepted]:
+        """Return the effects that the path added first; the others are refused.
+
+        Of a model that is far from its recording, a path adds so many effects that a physically
+        consistent fit of them all may have no solution.
+        """
+        kept = list(added[: len(added) // 2])
+        for found in added[len(kept) :]:
+            label = found.placement.label
+            self.rejected[label] = "no physically consistent fit with it was found"
+            self.refused.add(label)
+        return kept
 
     def _with_plausible_values(self, fit: Fit, added: Sequence[Accepted]) -> list[Accepted]:
         """Return the effects whose fitted values are plausible; the others are refused."""

@@ -10,6 +10,7 @@ from drives.commanded import LAWS, TWO_LINK, commanded, measured
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
+from lieid_casadi.diagnosis import missing
 from lieid_casadi.diagnosis.folds import folds_of, places
 from lieid_casadi.diagnosis.motion import UnseenMotion
 from lieid_casadi.diagnosis.result import motion_table
@@ -17,7 +18,7 @@ from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.effects.backlash import place_in_play
 from lieid_casadi.effects.command_delay import held_and_late
 from lieid_casadi.effects.registry import make
-from lieid_casadi.errors import BoundWarning, EffectError
+from lieid_casadi.errors import BoundWarning, EffectError, NoSolution
 from lieid_casadi.identification.identify import default_effects
 from lieid_casadi.identification.regression.variable_projection import command_error_range
 from lieid_casadi.recording import process
@@ -277,6 +278,21 @@ def test_an_effect_without_which_the_arm_moves_as_well_is_not_added(runs, monkey
     assert not found.steps
     reasons = " ".join(dict(found.rejected).values())
     assert "is no better with it (its squared error falls by 10.0 ± 6.0 %)" in reasons
+
+
+def test_effects_without_a_physically_consistent_fit_are_refused(runs, monkeypatch):
+    """Those that the path added last, since the first ones explain most."""
+    train, fit_of = with_torque(delayed(with_deadband(runs[0]), joint=0)), missing.identify_segments
+
+    def only_one(compiled, *others, **options):
+        if len(compiled.model.placements) > len(lieid.Model(ROBOT, BASE).placements) + 1:
+            raise NoSolution("the solver failed")
+        return fit_of(compiled, *others, **options)
+
+    monkeypatch.setattr(missing, "identify_segments", only_one)
+    found = lieid.diagnose(lieid.Model(ROBOT, BASE), train)
+    assert len(found.steps) <= 1
+    assert "no physically consistent fit with it was found" in dict(found.rejected).values()
 
 
 @pytest.mark.slow
