@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 from lieid_casadi.exporters.simulator_joints import (
     LinearFriction,
+    armature,
     beyond_linear_friction,
     file_name,
     left_out,
     linear_friction,
-    simulator_joints,
 )
 from lieid_casadi.exporters.xml_text import allowed
 from lieid_casadi.identification.fit import Fit
@@ -39,7 +39,6 @@ from mjlab.actuator import {kinds}
 # for mjlab.entity.EntityArticulationInfoCfg(actuators=ACTUATORS)
 ACTUATORS = (
 '''
-EXPRESSED = {"armature", "damping", "friction"}
 
 
 def isaaclab_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
@@ -59,18 +58,18 @@ def isaaclab_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
         "joint_velocity_limit; the names here work until 4.0",
         *beyond_linear_friction(friction),
     ]
-    unknown = sorted(set(left_out(fit, EXPRESSED)) - {"offset", *_of_friction(fit)})
+    unknown = sorted(left_out(fit, friction=True, besides=("armature", "offset")))
     if any(p.effect.name == "offset" for p in fit.model.placements):
         notes.append("not exported: the constant torque of offset")
     if unknown:
         notes.append(f"not exported: {', '.join(unknown)}")
     fields: dict[str, dict[str, float]] = {}
-    for joint, numbers, own in zip(robot.joints, simulator_joints(fit), friction, strict=True):
+    for j, (joint, own) in enumerate(zip(robot.joints, friction, strict=True)):
         stiffness, damping, limit = _drive_of(joint)
         values = {
             "stiffness": stiffness,
             "damping": damping,
-            "armature": numbers.armature or 0.0,
+            "armature": armature(fit, j) or 0.0,
             "friction": own.loss,
             "dynamic_friction": own.loss,
             "viscous_friction": own.damping,
@@ -122,15 +121,14 @@ def _mjlab_actuators(fit: Fit, friction: Sequence[LinearFriction]) -> tuple[list
     Joints with a drive law are position actuators, others motors.
     """
     kinds, lines = set[str](), []
-    joints = zip(fit.model.robot.joints, simulator_joints(fit), friction, strict=True)
-    for joint, numbers, own in joints:
+    for j, (joint, own) in enumerate(zip(fit.model.robot.joints, friction, strict=True)):
         stiffness, damping, limit = _drive_of(joint)
         fields: dict[str, float] = {}
         kind = "BuiltinMotorActuatorCfg"
         if joint.drive is not None:
             kind = "BuiltinPositionActuatorCfg"
             fields = {"stiffness": stiffness, "damping": damping}
-        fields |= {"effort_limit": limit, "armature": numbers.armature or 0.0}
+        fields |= {"effort_limit": limit, "armature": armature(fit, j) or 0.0}
         fields["frictionloss"] = own.loss
         kinds.add(kind)
         stated = {name: repr(float(x)) for name, x in fields.items() if math.isfinite(x)}
@@ -149,8 +147,3 @@ def _drive_of(joint: Joint) -> tuple[float, float, float]:
         law.damping + law.derivative,
         min(law.torque_limit, law.proportional_limit),
     )
-
-
-def _of_friction(fit: Fit) -> set[str]:
-    """Return the names of effects that depend on velocity, which `linear_friction` contains."""
-    return {p.effect.name for p in fit.model.placements if {"dq", "sign"} & set(p.effect.signals)}

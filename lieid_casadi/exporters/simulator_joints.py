@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.effects import Placement
 from lieid_casadi.errors import ExportError
 from lieid_casadi.friction_curves.friction_fit import steady_columns
 from lieid_casadi.identification.fit import Fit
@@ -27,49 +28,32 @@ WEAK_SPRING = 1e-6
 FRICTION_IMPEDANCE = (0.99, 0.99, 0.001)  # solimpfriction: 0.01 of the acceleration is not resisted
 WARM = 1e6  # s since the start, at which warm-up has ended
 EXACT = 1e-9  # relative error of friction of the linear form
-# coefficients that simulators have an attribute for
-PLACES = {"armature.I_a": "armature", "viscous.f_v": "damping", "coulomb.f_c": "friction"}
 
 
-@dataclass(frozen=True)
-class SimulatorJoint:
-    """Properties of one joint; None if the model does not have the effect.
+def armature(fit: Fit, index: int) -> float | None:
+    """Return the armature of a joint (from 0), kg·m² or kg; None if the model does not have it."""
+    own = numbers_of_joint(fit, index).get("armature.I_a")
+    return None if own is None else max(own, 0.0)
 
-    Armature in kg·m², damping in N·m·s/rad, friction in N·m (sliding joints: kg, N·s/m, N).
+
+def left_out(fit: Fit, *, friction: bool, besides: Collection[str] = ("armature",)) -> list[str]:
+    """Return the labels of effects that a format lacks.
+
+    ``friction``: it has that of `linear_friction`; ``besides``: names of effects that it has.
     """
-
-    armature: float | None = None
-    damping: float | None = None
-    friction: float | None = None
-
-
-def simulator_joints(fit: Fit) -> tuple[SimulatorJoint, ...]:
-    """Return the properties of each joint; negative values, which simulators refuse, become 0."""
-    found: list[dict[str, float]] = [{} for _ in range(fit.model.n)]
-    for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
-        place = PLACES.get(column.name)
-        if place is not None:
-            found[column.joint][place] = max(float(value), 0.0)
-    return tuple(SimulatorJoint(**numbers) for numbers in found)
+    placements = [p for p in fit.model.placements if p.effect.name not in besides]
+    if friction:
+        placements = [p for p in placements if not _is_friction(p)]
+    return list(dict.fromkeys(p.effect.label for p in placements))
 
 
-def left_out(fit: Fit, places: set[str]) -> list[str]:
-    """Return the names of effects that have none of the given attributes."""
-    names = []
-    for column in fit.model.columns:
-        effect = column.name.rpartition(".")[0]
-        if PLACES.get(column.name) not in places and effect not in names:
-            names.append(effect)
-    return names
+def has_friction(fit: Fit) -> bool:
+    """Whether the model has effects that depend on velocity."""
+    return any(_is_friction(p) for p in fit.model.placements)
 
 
-def negative(fit: Fit) -> list[str]:
-    """Return the labels of coefficients that were set to 0 because they are negative."""
-    return [
-        column.label
-        for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True)
-        if column.name in PLACES and value < 0.0
-    ]
+def _is_friction(placement: Placement) -> bool:
+    return bool(set(placement.effect.signals) & {"dq", "sign"})
 
 
 @dataclass(frozen=True)
@@ -145,7 +129,7 @@ def passive_torques(fit: Fit, index: int, friction: LinearFriction) -> PassiveTo
     if offset and not stiffness:
         stiffness = WEAK_SPRING * abs(offset)
     return PassiveTorques(
-        max(own.get("armature.I_a", 0.0), 0.0),
+        armature(fit, index) or 0.0,
         friction.damping + servo,
         friction.loss,
         stiffness or None,

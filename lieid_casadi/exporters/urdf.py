@@ -14,13 +14,15 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.simulator_joints import (
-    SimulatorJoint,
+    LinearFriction,
+    armature,
+    beyond_linear_friction,
     check_possible,
     file_name,
+    has_friction,
     left_out,
-    negative,
+    linear_friction,
     number,
-    simulator_joints,
     source_of,
 )
 from lieid_casadi.exporters.xml_text import Element, XmlText, attribute
@@ -104,20 +106,20 @@ def urdf_text(fit: Fit, into: str | Path | None) -> tuple[str, list[str]]:
     """Return the URDF and notes on it; raises as `urdf_files`."""
     check_possible(fit)
     robot, source = fit.model.robot, source_of(fit, into)
+    friction = linear_friction(fit) if has_friction(fit) else ()
     if source is not None and source.kind == "urdf":
-        text, notes = edited_urdf(fit, source.text)
+        text, notes = edited_urdf(fit, source.text, friction)
     elif into is not None:
         raise ExportError(f"{into}: not a URDF")
     else:
         bodies = fit.link_parameters.reshape(-1, 10)
-        text, notes = written_urdf(robot, bodies, simulator_joints(fit))
-    left = left_out(fit, {"armature", "damping", "friction"})
-    if any(numbers.armature is not None for numbers in simulator_joints(fit)):
+        text, notes = written_urdf(robot, bodies, friction)
+    notes += beyond_linear_friction(friction)
+    left = left_out(fit, friction=True)
+    if any(armature(fit, j) is not None for j in range(robot.n)):
         notes.append("URDF has no element for armature; --to mjcf and --to isaaclab have it")
     if left:
         notes.append(f"not exported, because URDF has no element for it: {', '.join(left)}")
-    if negative(fit):
-        notes.append(f"written as 0 because it is negative: {', '.join(negative(fit))}")
     if not np.allclose(robot.gravity, STANDARD_GRAVITY, atol=1e-9):
         x, y, z = robot.gravity
         notes.append(f"URDF has no element for gravity; set it to ({x:g}, {y:g}, {z:g}) m/s²")
@@ -223,8 +225,8 @@ def _link_of(joint: Element, tag: str) -> str:
     return "" if end is None else end.attributes.get("link", "")
 
 
-def edited_urdf(fit: Fit, text: str) -> tuple[str, list[str]]:
-    """Return the URDF of ``fit.model.robot`` with link inertias and friction, and notes.
+def edited_urdf(fit: Fit, text: str, friction: Sequence[LinearFriction]) -> tuple[str, list[str]]:
+    """Return a URDF with link inertias and, where given, the joints' friction, and notes.
 
     All other characters stay as they are: only <inertial> of moving links, and damping and
     friction in <dynamics>, change.
@@ -235,9 +237,7 @@ def edited_urdf(fit: Fit, text: str) -> tuple[str, list[str]]:
     chain = {joint.name for joint in fit.model.robot.joints}
     rigid = [element for name, element in joints.items() if name not in chain]
     bodies = fit.link_parameters.reshape(-1, 10)
-    for joint, body, friction in zip(
-        fit.model.robot.joints, bodies, simulator_joints(fit), strict=True
-    ):
+    for j, (joint, body) in enumerate(zip(fit.model.robot.joints, bodies, strict=True)):
         shared = split(body, members_of(links, rigid, joint.link_name))
         document.replace_child(links[joint.link_name], "inertial", inertial_text(shared.own))
         if shared.share < 1.0:
@@ -245,7 +245,8 @@ def edited_urdf(fit: Fit, text: str) -> tuple[str, list[str]]:
                 scaled = inertial_text(shared.share * member.nominal)
                 document.replace_child(links[member.name], "inertial", scaled)
         notes += _notes_on_members(joint, shared)
-        _write_friction(document, joints[joint.name], friction)
+        if friction:
+            _write_friction(document, joints[joint.name], friction[j])
     notes += _meshes(document.root)
     return document.edited(), notes
 
@@ -264,14 +265,8 @@ def _notes_on_members(joint: Joint, shared: InertiaSplit) -> list[str]:
     ]
 
 
-def _write_friction(document: XmlText, joint: Element, friction: SimulatorJoint) -> None:
-    new = {
-        name: number(value)
-        for name, value in (("damping", friction.damping), ("friction", friction.friction))
-        if value is not None
-    }
-    if not new:
-        return
+def _write_friction(document: XmlText, joint: Element, friction: LinearFriction) -> None:
+    new = {"damping": number(friction.damping), "friction": number(friction.loss)}
     dynamics = joint.find("dynamics")
     attributes = (dynamics.attributes if dynamics is not None else {}) | new
     written = "".join(f" {name}={attribute(value)}" for name, value in attributes.items())
@@ -291,9 +286,9 @@ def _mesh_paths(element: Element) -> list[str]:
 
 
 def written_urdf(
-    robot: Robot, bodies: Array, frictions: Sequence[SimulatorJoint]
+    robot: Robot, bodies: Array, friction: Sequence[LinearFriction]
 ) -> tuple[str, list[str]]:
-    """Return a URDF of a robot with link parameters (n, 10), and notes on differences.
+    """Return a URDF of a robot with link parameters (n, 10) and, if given, friction, and notes.
 
     Link frames are those of the robot; the origin is moved onto the axis of the joint if it is
     not on it.
@@ -305,13 +300,18 @@ def written_urdf(
         f"  <link name={attribute(names[0])}/>",
     ]
     notes, before = [], np.eye(4)
-    for i, (joint, body, friction) in enumerate(zip(robot.joints, bodies, frictions, strict=True)):
+    for i, (joint, body) in enumerate(zip(robot.joints, bodies, strict=True)):
         shift, back = np.eye(4), np.eye(4)
         shift[:3, 3] = _point_on_axis(joint)
         back[:3, 3] = -shift[:3, 3]
         frame = np.asarray(joint.home @ shift)
         lines += _link(names[i + 1], parameter_transport(back) @ body)
-        lines += _joint(joint, relative(before, frame), names[i : i + 2], friction)
+        lines += _joint(joint, relative(before, frame), names[i : i + 2])
+        if friction:
+            own = friction[i]
+            numbers = f'damping="{number(own.damping)}" friction="{number(own.loss)}"'
+            lines.append(f"    <dynamics {numbers}/>")
+        lines.append("  </joint>")
         before = frame
         if np.any(shift[:3, 3]):
             notes.append(f"{names[i + 1]}: its frame was moved onto the axis of {joint.name}")
@@ -336,7 +336,8 @@ def _link(name: str, body: Array) -> list[str]:
     return [f"  <link name={attribute(name)}>", f"    {inertial}", "  </link>"]
 
 
-def _joint(joint: Joint, place: Array, names: Sequence[str], friction: SimulatorJoint) -> list[str]:
+def _joint(joint: Joint, place: Array, names: Sequence[str]) -> list[str]:
+    """Return the lines of a joint without the last."""
     limits = joint.limits
     bounded = np.isfinite(limits.position_lower) and np.isfinite(limits.position_upper)
     axis = joint.axis[:3] if joint.revolute else joint.axis[3:]
@@ -354,11 +355,7 @@ def _joint(joint: Joint, place: Array, names: Sequence[str], friction: Simulator
             for name, value in stated.items()
         )
         lines.append(f"    <limit{written}/>")
-    numbers = (("damping", friction.damping), ("friction", friction.friction))
-    written = "".join(f' {name}="{number(x)}"' for name, x in numbers if x is not None)
-    if written:
-        lines.append(f"    <dynamics{written}/>")
-    return [*lines, "  </joint>"]
+    return lines
 
 
 def _between(place: Array, names: Sequence[str]) -> list[str]:

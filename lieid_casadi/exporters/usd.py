@@ -15,10 +15,9 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.simulator_joints import (
-    SimulatorJoint,
+    armature,
     check_possible,
     left_out,
-    simulator_joints,
 )
 from lieid_casadi.exporters.urdf import RigidMember, check_gravity, members_of, split
 from lieid_casadi.exporters.xml_text import XmlText
@@ -60,7 +59,7 @@ def usd_files(fit: Fit, into: str | Path | None) -> tuple[dict[str, bytes], list
         layer.Reload(True)  # layers are shared by all of a process
     if layer.GetExternalReferences():
         notes.append("files that the stage refers to are named relative to its own folder")
-    left = left_out(fit, {"armature"})
+    left = left_out(fit, friction=False)
     if left:
         notes.append(f"not exported, because USD has no attribute for it: {', '.join(left)}; ")
         notes[-1] += "--to isaaclab has friction"
@@ -80,9 +79,7 @@ def _edit(stage: Any, fit: Fit, origin: str) -> list[str]:
         if p.HasAPI(UsdPhysics.RigidBodyAPI) or p.HasAPI(UsdPhysics.MassAPI)
     }
     notes, rigid = [], _rigid_members(fit)
-    for j, (joint, numbers) in enumerate(
-        zip(fit.model.robot.joints, simulator_joints(fit), strict=True)
-    ):
+    for j, joint in enumerate(fit.model.robot.joints):
         if joint.name not in joints:
             found = ", ".join(sorted(joints)) or "none"
             raise ExportError(f"{origin}: no joint {joint.name!r}; its joints: {found}")
@@ -98,7 +95,7 @@ def _edit(stage: Any, fit: Fit, origin: str) -> list[str]:
                 f"{link.GetName()} has the rest"
             )
         _write_mass(link, shared.own, meter, kilogram)
-        _write_armature(prim, numbers, joint.revolute, meter, kilogram)
+        _write_armature(prim, armature(fit, j), joint.revolute, meter, kilogram)
     return notes
 
 
@@ -147,12 +144,12 @@ def _write_mass(link: Any, parameters: Array, meter: float, kilogram: float) -> 
 
 
 def _write_armature(
-    prim: Any, numbers: SimulatorJoint, revolute: bool, meter: float, kilogram: float
+    prim: Any, inertia: float | None, revolute: bool, meter: float, kilogram: float
 ) -> None:
     """Write the armature of a joint as PhysX reads it, if the model has one."""
     from pxr import Sdf
 
-    if numbers.armature is not None:
+    if inertia is not None:
         unit = kilogram * (meter**2 if revolute else 1.0)
         attribute = prim.CreateAttribute("physxJoint:armature", Sdf.ValueTypeNames.Float)
-        attribute.Set(float(numbers.armature / unit))
+        attribute.Set(float(inertia / unit))

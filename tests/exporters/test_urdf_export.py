@@ -166,8 +166,10 @@ def test_rigid_torques_of_pinocchio_and_mujoco(bench, tmp_path):
     viscous = dict(
         zip([c.label for c in bench.model.columns], bench.effect_coefficients, strict=True)
     )
-    assert model.dof_damping[model.joint("elbow").dofadr[0]] == viscous["viscous.f_v:2"]
-    assert model.dof_frictionloss[model.joint("shoulder").dofadr[0]] == viscous["coulomb.f_c:1"]
+    damping = model.dof_damping[model.joint("elbow").dofadr[0]]
+    assert damping == pytest.approx(viscous["viscous.f_v:2"], rel=1e-9)
+    loss = model.dof_frictionloss[model.joint("shoulder").dofadr[0]]
+    assert loss == pytest.approx(viscous["coulomb.f_c:1"], rel=1e-9)
 
 
 def test_everything_else_of_the_file_stays(bench, tmp_path):
