@@ -12,14 +12,13 @@ from scipy.signal import lfilter
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import NoSolution
-from lieid_casadi.excitation.design import check_at_rest, excesses_along, find_start_pose
+from lieid_casadi.excitation.design import excesses_along, rest_pose
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
     Limit,
     LimitOnArm,
     MotionRange,
     check_duration,
-    check_start_pose,
     on_arm,
     sets_of,
 )
@@ -138,12 +137,7 @@ def feasible_motions(
     made = on_arm(limits, robot, fit)
     sets = sets_of(made)
     every = (joints.constraint_set(), *sets)
-    if start_pose is None:
-        pose = find_start_pose(robot, joints, every)
-    else:
-        pose = np.asarray(start_pose, dtype=float)
-        check_start_pose(robot, joints, pose)
-        check_at_rest(pose, every)
+    pose = rest_pose(robot, joints, every, start_pose)
     parametrization = Parametrization(basis, pose, joints.units)
     return FeasibleMotions(parametrization, joints, sets, made, max(SAMPLES, 8 * basis.size))
 

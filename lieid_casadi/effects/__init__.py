@@ -21,19 +21,6 @@ LIBRARY: tuple[type[Effect], ...] = tuple(
 )
 
 __all__ = [
-    "LIBRARY",
-    "ArmEffect",
-    "Coefficient",
-    "Effect",
-    "InstantModel",
-    "MemoryState",
-    "Placement",
-    "SegmentModel",
-    "Shape",
-    "Signals",
-    "effect",
-    "make",
-    "parse_effects",
-    "place",
-    "register",
-]
+    "LIBRARY", "ArmEffect", "Coefficient", "Effect", "InstantModel", "MemoryState", "Placement",
+    "SegmentModel", "Shape", "Signals", "effect", "make", "parse_effects", "place", "register",
+]  # fmt: skip

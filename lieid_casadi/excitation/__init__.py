@@ -17,26 +17,8 @@ from lieid_casadi.excitation.torque_limit import Torque
 from lieid_casadi.excitation.trajectory import Fourier
 
 __all__ = [
-    "Capsule",
-    "CartesianSpeed",
-    "ConstraintSet",
-    "Criterion",
-    "Excitation",
-    "Fourier",
-    "FrictionSweep",
-    "Limit",
-    "Obstacle",
-    "SelfCollision",
-    "SymbolicSet",
-    "Torque",
-    "Wall",
-    "capsules_of",
-    "default_limits",
-    "enclosing",
-    "excite",
-    "floor",
-    "friction_sweep",
-    "load_capsules",
-    "skeleton",
-    "workspace_box",
-]
+    "Capsule", "CartesianSpeed", "ConstraintSet", "Criterion", "Excitation", "Fourier",
+    "FrictionSweep", "Limit", "Obstacle", "SelfCollision", "SymbolicSet", "Torque", "Wall",
+    "capsules_of", "default_limits", "enclosing", "excite", "floor", "friction_sweep",
+    "load_capsules", "skeleton", "workspace_box",
+]  # fmt: skip

@@ -29,7 +29,7 @@ from lieid_casadi.excitation.limits import (
     Limit,
     MotionRange,
     check_duration,
-    check_start_pose,
+    joint_name,
     motion_range,
     on_arm,
     sets_of,
@@ -134,17 +134,10 @@ class ExcitationProblem:
         check_duration(robot, self.range, basis.duration)
         if limits is None:
             limits = default_limits(robot, margin=margin)
-        pose = None if start_pose is None else np.asarray(start_pose, dtype=float)
-        if pose is not None:
-            check_start_pose(robot, self.range, pose)
         self.limits = on_arm(limits, robot, self.fit)
         self.sets = (self.range.constraint_set(), *sets_of(self.limits))
-        if pose is None:
-            pose = find_start_pose(robot, self.range, self.sets)
-        else:
-            check_at_rest(pose, self.sets)
-        self.pose = pose
-        self.parametrization = Parametrization(basis, pose, self.range.units)
+        self.pose = rest_pose(robot, self.range, self.sets, start_pose)
+        self.parametrization = Parametrization(basis, self.pose, self.range.units)
         self.information = InformationMatrix(
             self.model, sign_width=SIGN_WIDTH * self.range.velocity, fit=self.fit
         )
@@ -244,8 +237,25 @@ class ExcitationProblem:
         return start
 
 
-def check_at_rest(pose: Array, sets: Sequence[ConstraintSet]) -> None:
-    """Refuse a start pose (n,) that violates a limit at rest, with the name of the limit."""
+def rest_pose(
+    robot: Robot, limits: MotionRange, sets: Sequence[ConstraintSet], given: ArrayLike | None
+) -> Array:
+    """Return the pose (n,) at which a motion starts and ends: one that is found, or a given one.
+
+    An `ExcitationError` names a joint outside its position limits, a `NoSolution` another limit
+    that the given pose violates at rest.
+    """
+    if given is None:
+        return find_start_pose(robot, limits, sets)
+    pose = np.asarray(given, dtype=float)
+    if pose.shape != (robot.n,) or not np.all(np.isfinite(pose)):
+        raise ExcitationError(f"start pose: {pose.size} numbers; expected {robot.n}, one per joint")
+    for j, (low, high) in enumerate(limits.position):
+        if not low < pose[j] < high:
+            raise ExcitationError(
+                f"start pose: {joint_name(robot, j)} at {pose[j]:g}, outside its position limits "
+                f"{low:g} … {high:g}"
+            )
     excess, names = _excess_at_rest(pose[None], sets)
     worst = int(np.argmax(excess[:, 0]))
     if excess[worst, 0] > 0.0:
@@ -253,6 +263,7 @@ def check_at_rest(pose: Array, sets: Sequence[ConstraintSet]) -> None:
             f"the start pose violates a limit at rest: {names[worst]}; choose another start pose "
             "(--start-pose) or relax the limit"
         )
+    return pose
 
 
 def find_start_pose(

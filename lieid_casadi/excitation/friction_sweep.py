@@ -16,12 +16,11 @@ from numpy.typing import ArrayLike
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation.checks import MARGIN, default_limits, verify
-from lieid_casadi.excitation.design import RANGE_USED, check_at_rest, find_start_pose
+from lieid_casadi.excitation.design import RANGE_USED, find_start_pose, rest_pose
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
     Limit,
     MotionRange,
-    check_start_pose,
     motion_range,
     on_arm,
     sets_of,
@@ -149,9 +148,7 @@ def friction_sweep(
     if start_pose is None:
         pose, reach = _found_pose(robot, joints, sets, joint, reach)
     else:
-        pose = np.asarray(start_pose, dtype=float)
-        check_start_pose(robot, joints, pose)
-        check_at_rest(pose, sets)
+        pose = rest_pose(robot, joints, sets, start_pose)
     runs, left_out = _runs(joints, joint, pose[joint], np.sort(np.abs(speeds)), seconds, reach)
     if not runs:
         raise NoSolution(

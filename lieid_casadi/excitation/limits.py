@@ -194,13 +194,13 @@ def motion_range(
     for j, (low, high) in enumerate(position):
         if not low < high:
             raise ExcitationError(
-                f"robot {robot.name!r}: position limits of {_joint(robot, j)} contradict each "
+                f"robot {robot.name!r}: position limits of {joint_name(robot, j)} contradict each "
                 f"other: lower {low:g}, upper {high:g}"
             )
     if not 0.0 < margin <= 1.0:
         raise ExcitationError(f"margin: {margin:g}; expected more than 0, at most 1")
     velocity = margin * robot.limit("velocity")
-    missing = [_joint(robot, j) for j in range(robot.n) if not velocity[j] > 0.0]
+    missing = [joint_name(robot, j) for j in range(robot.n) if not velocity[j] > 0.0]
     if missing:
         raise ExcitationError(
             f"robot {robot.name!r} states no velocity limit for {', '.join(missing)}; "
@@ -208,18 +208,6 @@ def motion_range(
         )
     revolute = np.array([joint.revolute for joint in robot.joints])
     return MotionRange(position, velocity, _acceleration(robot, acceleration), revolute)
-
-
-def check_start_pose(robot: Robot, limits: MotionRange, pose: Array) -> None:
-    """Refuse a start pose (n,) outside the position limits."""
-    if pose.shape != (robot.n,) or not np.all(np.isfinite(pose)):
-        raise ExcitationError(f"start pose: {pose.size} numbers; expected {robot.n}, one per joint")
-    for j, (low, high) in enumerate(limits.position):
-        if not low < pose[j] < high:
-            raise ExcitationError(
-                f"start pose: {_joint(robot, j)} at {pose[j]:g}, outside its position limits "
-                f"{low:g} … {high:g}"
-            )
 
 
 def check_duration(robot: Robot, limits: MotionRange, duration: float) -> None:
@@ -235,7 +223,7 @@ def check_duration(robot: Robot, limits: MotionRange, duration: float) -> None:
             enough = 2.0 * np.pi * (LEAST_MOTION / limit[j]) ** (1.0 / power)
             raise ExcitationError(
                 f"duration: {duration:g} s is too short for the {name} limit of "
-                f"{_joint(robot, j)}, {limit[j]:g}: its amplitude would be {reach[j]:.2g} rad; "
+                f"{joint_name(robot, j)}, {limit[j]:g}: its amplitude would be {reach[j]:.2g} rad; "
                 f"expected {enough:.2g} s at least"
             )
 
@@ -254,7 +242,8 @@ def _acceleration(robot: Robot, given: ArrayLike | None) -> Array:
     return np.broadcast_to(values, robot.n).copy()
 
 
-def _joint(robot: Robot, j: int) -> str:
+def joint_name(robot: Robot, j: int) -> str:
+    """Return a joint in messages, from 1."""
     return f"joint {j + 1} ({robot.joints[j].name})"
 
 

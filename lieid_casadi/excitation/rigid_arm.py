@@ -17,7 +17,6 @@ from lieid_casadi.robot import Robot
 from lieid_casadi.robot.pinocchio_model import build_pinocchio, point_on_axis
 
 CHANGE = (1e-3, 1e-3, 1e-2)  # of q, dq, ddq (SI), below which samples of a motion are the same
-MANY_POINTS = 60  # of a shape; more are reduced to those on their hull
 
 
 class RigidArm:
@@ -111,11 +110,10 @@ class ArmAlong:
         self, body: Shape, normal: Array, offset: float, rounding: float
     ) -> tuple[float, float]:
         """Return by how much a shape is beyond normal·x = offset at most, m, and when, s."""
-        points = _on_hull(body.points)
 
         def slack(k: int) -> float:
             frame = self._at(k)[body.link]
-            highest = float((points @ (normal @ frame[:3, :3])).max())
+            highest = float((body.points @ (normal @ frame[:3, :3])).max())
             return offset - highest - float(normal @ frame[:3, 3]) - body.radius
 
         return self._least(slack, [body], rounding)
@@ -223,15 +221,3 @@ def _hull(shape: Shape) -> Any:
     except RuntimeError:  # flat meshes have none
         return shape.geometry
     return shape.geometry.convex
-
-
-def _on_hull(points: Array) -> Array:
-    """Return the points (k, 3) that can be the farthest in some direction, or all of them."""
-    if len(points) <= MANY_POINTS:
-        return points
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        return np.asarray(points[ConvexHull(points).vertices])
-    except QhullError:  # flat
-        return points

@@ -56,21 +56,10 @@ class Drive:
     def torque(
         self, error: Any, velocity: Any, *, clip: Callable[[Any, float, float], Any] = np.clip
     ) -> Any:
-        """Return the torque of the law.
+        """Return the torque of the law (N,), N·m; rad if the stiffness is unknown.
 
-        Parameters
-        ----------
-        error : (N,)
-            q_cmd − q, rad; numbers or symbols.
-        velocity : (N,)
-            q̇, rad/s.
-        clip : callable
-            Of value, lower and upper bound; for symbols one of their library.
-
-        Returns
-        -------
-        (N,)
-            N·m; rad if the stiffness is unknown.
+        ``error`` (N,) is q_cmd − q in rad, ``velocity`` (N,) q̇ in rad/s, numbers or symbols;
+        ``clip`` takes a value, its lower and its upper bound.
         """
         part = self.stiffness * error - self.derivative * velocity
         if math.isfinite(self.proportional_limit):
@@ -83,21 +72,9 @@ class Drive:
     def effective_error(
         self, error: Any, velocity: Any, *, clip: Callable[[Any, float, float], Any] = np.clip
     ) -> Any:
-        """Return the position error that gives the torque of the law without limits and D_v.
+        """Return the position error (N,), rad, of that torque by the law without limits and D_v.
 
-        Parameters
-        ----------
-        error : (N,)
-            q_cmd − q, rad; numbers or symbols.
-        velocity : (N,)
-            q̇, rad/s.
-        clip : callable
-            As for `torque`.
-
-        Returns
-        -------
-        (N,)
-            rad.
+        ``error``, ``velocity`` and ``clip`` are those of `torque`.
         """
         torque = self.torque(error, velocity, clip=clip)
         return (torque + self.damping * velocity) / self.stiffness

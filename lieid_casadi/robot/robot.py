@@ -69,13 +69,6 @@ class Robot(RobotDescription):
         return cls.parse_urdf(read_text(path), tip=tip, lock=lock, origin=str(path))
 
     @classmethod
-    def from_mjcf(
-        cls, path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()
-    ) -> Robot:
-        """See `load`; the file is a MuJoCo model (extra ``mujoco``), whatever its name."""
-        return cls._of(read_mjcf(path, tip=tip, lock=lock))
-
-    @classmethod
     def from_yaml(cls, path: str | Path) -> Robot:
         """See `load`; the file is YAML, whatever its name."""
         return cls.parse_yaml(read_text(path), origin=str(path))

@@ -53,7 +53,7 @@ def test_an_exported_model_is_the_same_robot(tmp_path, n, effects):
     fit = made_fit(robot, effects)
     path = tmp_path / "arm.xml"
     path.write_text(mjcf_text(fit)[0])
-    again = lieid.Robot.from_mjcf(path)
+    again = lieid.Robot.load(path)
     for one, other in zip(robot.joints, again.joints, strict=True):
         np.testing.assert_allclose(one.screw, other.screw, atol=1e-12)
         np.testing.assert_allclose(one.home, other.home, atol=1e-12)
@@ -64,20 +64,20 @@ def test_refusals(tmp_path):
     path = tmp_path / "arm.xml"
     path.write_text("<mujoco><worldbody/></mujoco>")
     with pytest.raises(RobotError, match="found no joints"):
-        lieid.Robot.from_mjcf(path)
+        lieid.Robot.load(path)
     path.write_text("<mujoco><nonsense/></mujoco>")
     with pytest.raises(RobotError, match="not a MuJoCo model"):
-        lieid.Robot.from_mjcf(path)
+        lieid.Robot.load(path)
     one = '<body name="{}"><joint/><geom size="1"/></body>'
     path.write_text(f"<mujoco><worldbody>{one.format('a')}{one.format('b')}</worldbody></mujoco>")
     with pytest.raises(RobotError, match="chains that end at a, b"):
-        lieid.Robot.from_mjcf(path)
+        lieid.Robot.load(path)
     assert lieid.Robot.load(path, tip="b").n == 1
     path.write_text(
         "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
     )
     with pytest.raises(RobotError, match="neither a hinge nor a slide"):
-        lieid.Robot.from_mjcf(path)
+        lieid.Robot.load(path)
 
 
 def model(body="", assets="", more="", joint=""):
