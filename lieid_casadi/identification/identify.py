@@ -182,6 +182,11 @@ def identify_segments(
     state, settled = fixed_point(
         design, "wls" if method == "feasible" else method, report, held_shapes
     )
+    if not state.rows.lengths.any():
+        raise IdentificationError(
+            "no joint moves in the recordings: at rest dry friction is undetermined, and with it "
+            "all other torques; expected motion"
+        )
     least, folds = state, _folds(segments, state)
     unweighted = stacked(state.rows)
     found += fit_warnings.of_regression(model, segments, state, unweighted, settled=settled)

@@ -95,6 +95,7 @@ def without_frozen_torque(recording: Recording) -> tuple[Recording, list[Finding
             "on, although the arm moves: they were not recorded there. The other rows were "
             "checked.",
             f"leave these rows out, as with {recording.title}@:{first:.4g}",
+            certain=True,
         )
     ]  # fmt: skip
 

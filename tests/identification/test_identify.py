@@ -140,6 +140,12 @@ def test_directions_that_are_not_excited_are_reported():
     assert np.isfinite(fit.values).all()
 
 
+def test_a_recording_at_rest_identifies_nothing():
+    model, (_, recording) = lieid.Model(ROBOT, "coulomb,viscous,offset"), measured()
+    with pytest.raises(IdentificationError, match="no joint moves"):
+        lieid.identify(model, replace(recording, q=0.0 * recording.q, dq=0.0 * recording.dq))
+
+
 def test_condition_number_does_not_depend_on_the_choice_of_base():
     """σ₁/σ_r of the stacked full regressor, by NumPy on the full columns."""
     model = lieid.Model(ROBOT, "viscous,offset")

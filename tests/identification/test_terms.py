@@ -11,7 +11,13 @@ from scipy.optimize import least_squares
 import lieid_casadi as lieid
 from lieid_casadi.effects import Signals, make
 from lieid_casadi.errors import ModelError
-from lieid_casadi.identification.regression.least_squares import JointRows, Rows, robust, solve
+from lieid_casadi.identification.regression.least_squares import (
+    JointRows,
+    Rows,
+    robust,
+    solve,
+    stacked,
+)
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.recording.filtering import central_difference
 
@@ -99,6 +105,14 @@ def test_the_robust_fit_minimizes_hubers_loss():
         xtol=1e-12, ftol=1e-12, gtol=1e-12,
     ).x  # fmt: skip
     np.testing.assert_allclose(solve(found.factor).values, expected, atol=3e-4)
+
+
+def test_columns_of_the_noise_of_encoders_alone_have_no_values():
+    """As those of joints that stand still: divided by their size they gave values of 1e11."""
+    random = np.random.default_rng(2)
+    matrix = random.normal(size=(200, 2)) * [1.0, 1e-11]
+    values = solve(stacked(rows_of(matrix, random.normal(size=200)))).values
+    assert abs(values[1]) < 1e-6
 
 
 def test_the_covariance_counts_the_noise_that_the_fit_absorbed():

@@ -23,6 +23,7 @@ Indices = NDArray[np.intp]
 
 RANK_TOLERANCE = 1e-9  # of scaled columns; below it a direction is not excited
 VANISHING = 1e-100  # norm of a column that counts as zero: its inverse squared must be finite
+NO_TORQUE = 1e-9  # norm of a column relative to the largest that counts as zero
 NAMED_SHARE = 0.3  # of the largest component of a direction: smaller ones are not named
 MOST_NAMED = 4
 
@@ -149,9 +150,14 @@ def combine(factors: Sequence[Factor], weights: Sequence[float] | Array) -> Fact
 
 
 def unit_columns(matrix: Array) -> tuple[Array, Array]:
-    """Return columns divided by their norms, and the norms; 1 for columns of zeros."""
+    """Return columns divided by their norms, and the norms.
+
+    Those of columns that are zero relative to the largest one, as of a joint that stood still, are
+    that of the largest, so that they stay zero.
+    """
     norms = np.linalg.norm(matrix, axis=0)
-    norms[norms < VANISHING] = 1.0
+    largest = float(norms.max(initial=VANISHING))
+    norms[norms < max(NO_TORQUE * largest, VANISHING)] = max(largest, 1.0)
     return matrix / norms, norms
 
 
