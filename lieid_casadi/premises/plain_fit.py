@@ -188,18 +188,21 @@ class Design:
         return Equations(self.matrix, vector, square, count)
 
 
-def design(columns: Array, s: Samples, *, parts: bool) -> Design:
-    """Return the design of rigid columns (n, k, N) and the joints' own columns."""
+def design(columns: Array, s: Samples, links: Index, *, parts: bool) -> Design:
+    """Return the design of rigid columns (n, k, N) and the joints' own columns.
+
+    ``links`` (k,) are the links whose parameters the columns are, which act on no later joint.
+    """
     n, k = columns.shape[:2]
     count = PARTS if parts else 1
     matrix = np.zeros((n, count, k + OWN, k + OWN))
     pieces = []
     for j in range(n):
-        acting = np.flatnonzero([*np.any(columns[j] != 0.0, axis=1), *OWN * [True]])
+        acting = np.concatenate([np.flatnonzero(links >= j), np.arange(k, k + OWN)])
         stacked = np.concatenate([columns[j, acting[:-OWN]], s.own[j]])
         for part in range(count):
             at = np.flatnonzero(s.used[:, j] & (s.part == part) if parts else s.used[:, j])
-            x = stacked[:, at]
+            x = stacked if len(at) == stacked.shape[1] else stacked[:, at]
             matrix[j, part][np.ix_(acting, acting)] = x @ x.T
             pieces.append((j, part, acting, at, x))
     return Design(tuple(pieces), matrix)
@@ -278,7 +281,8 @@ class _Eliminated:
     def solved(self, weights: Array) -> Array:
         """Return base and own parameters (n, …, p) of the fit with weights (n,) of the joints."""
         a, b, size = (
-            np.tensordot(weights, x, axes=1) for x in (self.matrix, self.vector, self.size)
+            (weights @ x.reshape(len(x), -1)).reshape(x.shape[1:])
+            for x in (self.matrix, self.vector, self.size)
         )
         scale = _inverse_size(size)
         left = a * scale[..., :, None] * scale[..., None, :]

@@ -65,7 +65,7 @@ class RigidArm:
         # in link axes: ω, α and acceleration, then v and ω of each screw
         carried = np.zeros((3, 3, size))
         carried[2] -= np.reshape(gravity, (3, -1))  # the base accelerates against gravity
-        v, z = np.zeros((2, 0, 3, size))
+        screws = np.zeros((2, n, 3, size))  # v and ω of each
         gradient = np.zeros((3, 3, size))  # of the acceleration in a link
         for i, joint in enumerate(self.robot.joints):
             x = q[:, i]
@@ -74,8 +74,9 @@ class RigidArm:
             rotation, position = pose[:, :3], pose[:, 3]
             carried[2] += np.einsum("ckn,kn->cn", gradient, position)
             hat = (HAT.reshape(9, 3) @ position).reshape(3, 3, size)
-            every = _times(np.concatenate([carried, z, v + _times(z, hat)]), rotation)
-            carried, z, v = every[:3], every[3 : 3 + i], every[3 + i :]
+            v, z = screws[:, :i]
+            every = _times(np.concatenate([carried, v + _times(z, hat), z]), rotation)
+            carried, screws[:, :i] = every[:3], every[3:].reshape(2, i, 3, size)
             axis, shift = joint.axis[:3, None], joint.axis[3:, None]
             turn = axis * dq[:, i]
             carried[1] += _cross(carried[0], turn) + axis * ddq[:, i]
@@ -83,13 +84,13 @@ class RigidArm:
                 slide = _cross(2.0 * carried[0] + turn, shift * dq[:, i])
                 carried[2] += slide + shift * ddq[:, i]
             carried[0] += turn
-            z = np.concatenate([z, np.broadcast_to(axis, (1, 3, size))])
-            v = np.concatenate([v, np.broadcast_to(shift, (1, 3, size))])
+            screws[0, i], screws[1, i] = shift, axis
             omega, alpha, acceleration = carried
             state = np.concatenate([acceleration, alpha, omega[SQUARES[0]] * omega[SQUARES[1]]])
             gradient = (GRADIENT @ state).reshape(3, 3, size)
             wrenches = (self.wrenches[i] @ state).reshape(6, -1, size)
-            made[: i + 1, self.own[i]] = _times(np.concatenate([v, z], axis=1), wrenches)
+            twists = screws[:, : i + 1].transpose(1, 0, 2, 3).reshape(i + 1, 6, size)
+            made[: i + 1, self.own[i]] = _times(twists, wrenches)
         return made
 
 

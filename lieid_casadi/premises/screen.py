@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.premises.correction import Correction
@@ -15,6 +16,7 @@ from lieid_casadi.premises.plain_fit import (
     FRICTION,
     Design,
     FreeFit,
+    Index,
     Samples,
     StatedFit,
     design,
@@ -156,7 +158,10 @@ class Screen:
     @cached_property
     def design(self) -> Design:
         """Columns of the samples as they are, which serve all hypotheses on the torque alone."""
-        return design(self.columns(Correction.none(self.n)), self.thin, parts=self.parts)
+        return self._design(Correction.none(self.n), self.thin)
+
+    def _design(self, correction: Correction, s: Samples) -> Design:
+        return design(self.columns(correction), s, self.arm.kept // 10, parts=self.parts)
 
     @cached_property
     def base(self) -> Errors:
@@ -169,7 +174,7 @@ class Screen:
             s, made = replace(self.thin, tau=self._torque(correction)), self.design
         else:
             s = self.thin if correction.signals_stay else correction.of_samples(self.thin)
-            made = design(self.columns(correction), s, parts=self.parts)
+            made = self._design(correction, s)
         given = made.equations(s.tau)
         stated = None if self.parameters is None else stated_fit(given, self.parameters)
         fitted = free_fit(given)
@@ -185,8 +190,23 @@ class Screen:
         """Return corrected torques, which are shifted before instants are left out."""
         if not correction.late:
             return correction.of_torque(self.thin) + correction.weight * self.weight
-        s = self.samples
-        return replace(s, tau=correction.of_torque(s)).thinned(self.most).tau
+        s, tau = self.thin, self.thin.tau.copy()
+        for rows, t, spline in self._splines:
+            tau[rows] = spline(np.clip(s.t[rows] + correction.late, t[0], t[-1]))
+        return np.asarray(tau @ correction.torque_matrix.T)
+
+    @cached_property
+    def _splines(self) -> list[tuple[Index, Array, Callable[[Array], Array]]]:
+        """Rows of each stretch that is compared, the stretch's time, and a spline of its torque."""
+        whole = self.samples
+        found: list[tuple[Index, Array, Callable[[Array], Array]]] = []
+        for stretch in np.unique(self.thin.segment):
+            at = np.flatnonzero(whole.segment == stretch)
+            t, tau = whole.t[at], whole.tau[at]
+            if len(t) > 3:
+                rows = np.flatnonzero(self.thin.segment == stretch)
+                found.append((rows, t, CubicSpline(t, tau)))
+        return found
 
     def score(self, correction: Correction) -> float:
         """Return the score of a correction: negative where errors fall."""
