@@ -206,7 +206,7 @@ def looped(arms, folder: Path, nights: int) -> int:
 def measured_run(fleet, folder: Path, workers: int) -> tuple[float, float, float, float]:
     """Return arm-nights per second, processor time of an arm-night in workers and client, and s.
 
-    All but the last are measured between the first arm-nights, one per worker, and the last one.
+    All but the last are measured between the first batches, one per worker, and the last one.
     """
     import psutil
 
@@ -215,18 +215,16 @@ def measured_run(fleet, folder: Path, workers: int) -> tuple[float, float, float
         file.unlink()
     own, finished = psutil.Process(), []
 
-    def note(*_: int) -> None:
+    def note(done: int, _: int) -> None:
         children = own.children(recursive=True)
         spent = [sum(child.cpu_times()[:2]) for child in children]
-        finished.append((time.perf_counter(), sum(spent), sum(own.cpu_times()[:2])))
+        finished.append((done, time.perf_counter(), sum(spent), sum(own.cpu_times()[:2])))
 
     with History(path) as opened:
         result = run_fleet(fleet, opened, options=RunOptions(workers=workers), progress=note)
-    count = len(finished) - workers
-    elapsed, worker, client = (
-        (last - first) / count
-        for last, first in zip(finished[-1], finished[workers - 1], strict=True)
-    )
+    first, last = finished[workers - 1], finished[-1]
+    count = last[0] - first[0]
+    elapsed, worker, client = ((b - a) / count for a, b in zip(first[1:], last[1:], strict=True))
     return 1.0 / elapsed, worker, client, result.seconds
 
 

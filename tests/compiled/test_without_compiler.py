@@ -47,15 +47,12 @@ def test_no_compiler_on_the_path(fresh_process, monkeypatch, tmp_path, caplog):
     check_fallback(caplog, "cc, gcc or clang is not on the path")
 
 
-def test_a_compiler_that_does_not_exist(fresh_process, monkeypatch, caplog):
-    monkeypatch.setenv("CC", "no-such-compiler -m64")
-    check_fallback(caplog, "'no-such-compiler'")
-
-
-@pytest.mark.parametrize("stated", ["'gcc", 'gcc "-O2', "gcc \\"])
-def test_bad_quoting_in_cc(fresh_process, monkeypatch, caplog, stated):
+@pytest.mark.parametrize(
+    ("stated", "found"), [("no-such-compiler -m64", "'no-such-compiler'"), ("'gcc", "$CC is")]
+)
+def test_a_compiler_that_does_not_exist(fresh_process, monkeypatch, caplog, stated, found):
     monkeypatch.setenv("CC", stated)
-    check_fallback(caplog, "$CC is", "No ")
+    check_fallback(caplog, found)
 
 
 def test_a_failing_compiler(fresh_process, monkeypatch, tmp_path, caplog):

@@ -129,13 +129,3 @@ def test_bad_requests_are_one_line_and_write_nothing(fit_file, tmp_path, capsys,
     assert message in error
     assert error.count("\n") == 1
     assert not names(tmp_path)
-
-
-def test_command_writes_a_urdf(tmp_path, capsys):
-    from exporters.test_urdf_export import fitted
-
-    fitted(lieid.robots.two_link()).save(tmp_path / "fit.json")
-    words = ["export", str(tmp_path / "fit.json"), "--to", "urdf", "-o", str(tmp_path / "out")]
-    assert main(words) == 0
-    assert names(tmp_path / "out") == {"two_link.urdf", MANIFEST}
-    assert "written to" in capsys.readouterr().out

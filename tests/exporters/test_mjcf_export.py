@@ -1,7 +1,6 @@
 """Exported MuJoCo models have the dynamics of the fit."""
 
 import re
-from dataclasses import replace
 from xml.etree import ElementTree
 
 import mujoco
@@ -9,12 +8,10 @@ import numpy as np
 import pytest
 from exporters.c_arms import made_fit, torque_of
 from exporters.test_names import NAMES, named
-from exporters.test_urdf_export import ARM, fitted
+from exporters.test_urdf_export import ARM
 from robot.random_arms import random_arm
 
 import lieid_casadi as lieid
-from lieid_casadi.cli.main import main
-from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.mjcf import mjcf_text
 from lieid_casadi.robot.drive import Drive
 
@@ -195,24 +192,3 @@ def test_names_stay_text(name):
     root = ElementTree.fromstring(text)
     assert {e.tag for e in root} == {"compiler", "option", "worldbody", "actuator"}
     assert mujoco.MjModel.from_xml_string(text).nu == 2
-
-
-@pytest.fixture(scope="module")
-def feasible():
-    return fitted(lieid.robots.two_link())
-
-
-def test_command(feasible, tmp_path, capsys):
-    feasible.save(tmp_path / "fit.json")
-    out = tmp_path / "out"
-    assert main(["export", str(tmp_path / "fit.json"), "--to", "mjcf", "-o", str(out)]) == 0
-    assert [file.name for file in out.glob("*.xml")] == ["two_link.xml"]
-    model = mujoco.MjModel.from_xml_path(str(out / "two_link.xml"))
-    assert model.nu == model.nv == 2
-    assert "two_link.xml" in capsys.readouterr().out
-
-
-def test_a_fit_without_certificate_is_refused(feasible, tmp_path):
-    with pytest.raises(ExportError, match="--method feasible"):
-        lieid.export(replace(feasible, certificate=None), tmp_path / "out", to="mjcf")
-    assert not (tmp_path / "out").exists()

@@ -233,11 +233,12 @@ def test_a_fit_without_certificate_is_refused_with_the_command(bench, tmp_path):
         replace(bench, method="wls", certificate=None),
         replace(bench, parameters=-bench.parameters),
     ):
-        with pytest.raises(
-            ExportError, match=r"method feasible: lieid identify ROBOT run\.csv"
-        ) as raised:
-            export(fit, tmp_path / "out", to="urdf")
-        assert "--effects coulomb,viscous,offset,armature --method feasible" in str(raised.value)
+        for to in ("urdf", "mjcf"):
+            with pytest.raises(
+                ExportError, match=r"feasible: lieid identify ROBOT run\.csv"
+            ) as why:
+                export(fit, tmp_path / "out", to=to)
+            assert "--effects coulomb,viscous,offset,armature --method feasible" in str(why.value)
     assert not (tmp_path / "out").exists()
 
 

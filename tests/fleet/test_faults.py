@@ -8,7 +8,6 @@ import time
 import numpy as np
 import pytest
 from fleet.faults import ClusterProcesses, killed_run, lost_or_repeated, run_client
-from fleet.synthetic_history import drawn_result
 
 from lieid_casadi.cli.main import main
 from lieid_casadi.fleet import cluster as arm_nights
@@ -127,21 +126,3 @@ def test_a_cluster_without_workers_ends_with_status_3(fleet_folder, monkeypatch,
     ) as cluster:
         assert run(fleet_folder, cluster.scheduler_address) == 3
     assert "has had no workers for 0.3 s" in capsys.readouterr().err
-
-
-def test_exit_code_5_if_an_alarm_was_raised_in_this_call(
-    fleet_folder, scheduler, monkeypatch, capsys
-):
-    def synthetic(night, content):
-        k = int(night.date[-2:])
-        loaded = night.serial == "A1" and k >= 3
-        changes = {"errors": {1: 5.0}, "findings": [("payload", None, 1.0)]} if loaded else {}
-        random = np.random.default_rng([k, ord(night.serial[-1])])
-        return drawn_result(random, night.serial, k, **changes)
-
-    monkeypatch.setattr(arm_nights, "run_arm_night", synthetic)
-    for status, text in ((5, "New alarm: A1: payload of the arm since 2026-01-03"), (0, "none;")):
-        assert run(fleet_folder, scheduler, "--exit-code") == status
-        shown = capsys.readouterr().out
-        assert text in shown
-        assert "Open alarms: 1." in shown

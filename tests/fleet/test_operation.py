@@ -132,10 +132,11 @@ def test_nights_of_maintenance_are_left_out(call):
     assert rows(call.folder, "SELECT count(*) FROM nights WHERE serial = 'A1'") == [(2,)]
 
 
-def test_the_alarm_command_gets_each_alarm_once(call):
+def test_the_alarm_command_gets_each_alarm_once(call, capsys):
     out = call.folder / "alarms.jsonl"
     command = f"cat >> {out}"
     assert call("--on-alarm", command) == 5
+    assert "New alarm: A1: payload of the arm since 2026-01-03" in capsys.readouterr().out
     assert call("--on-alarm", command) == 0
     (line,) = out.read_text("utf-8").splitlines()
     alarm = json.loads(line)
