@@ -83,10 +83,9 @@ def envelope(x: Array, y: Array, columns: int = MOST_COLUMNS) -> tuple[Array, Ar
     if len(x) <= 2 * columns:
         return x, y
     length = -(-len(x) // columns)
-    keep: list[int] = []
-    for first in range(0, len(x), length):
-        part = y[first : first + length]
-        keep += sorted({first + int(np.argmin(part)), first + int(np.argmax(part))})
+    first = np.arange(0, len(x), length)
+    filled = np.pad(y, (0, len(first) * length - len(y)), mode="edge").reshape(-1, length)
+    keep = np.unique(np.concatenate([first + filled.argmin(axis=1), first + filled.argmax(axis=1)]))
     return x[keep], y[keep]
 
 

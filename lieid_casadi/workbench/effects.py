@@ -260,10 +260,9 @@ class FindingsView(View):
         self._all.text = f"Add all {len(missing)}" if len(missing) > 1 else "Add it"
         changed = session.inputs.mode == "changed"
         self._all.set_visibility(bool(missing) and not (searching or changed))
-        if found is not None and not searching:
-            self._list.show(*_findings(found, present, changed=changed))
-        else:
-            self._list.show()
+        if self.is_new(found, present, changed, searching):
+            shown = found is not None and not searching
+            self._list.show(*(_findings(found, present, changed=changed) if shown else ()))
 
 
 def _findings(found: FoundEffects, present: tuple[str, ...], *, changed: bool) -> list[Markup]:

@@ -24,7 +24,7 @@ from urllib.parse import parse_qs
 
 import uvicorn
 from fastapi import FastAPI, Response
-from nicegui import Client, ui
+from nicegui import Client, run, ui
 from nicegui import app as nicegui_app
 from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
@@ -223,6 +223,7 @@ def serve_pages(
         token = secrets.token_urlsafe(24)
         url = f"http://{LOOPBACK}:{port}/?token={token}"
         pages(token)
+        nicegui_app.on_startup(_without_process_pool)
         app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
         ui.run_with(
             app, show_welcome_message=False, reconnect_timeout=RECONNECT_SECONDS, tailwind=True
@@ -281,6 +282,11 @@ def _pages(sessions: Sessions, token: str) -> None:
         if label not in REGISTER:
             return Response(status_code=404)
         return Response(effect_page(label), media_type="text/html")
+
+
+def _without_process_pool() -> None:
+    """Drop NiceGUI's unused pool, whose semaphores outlive a process that is ended at once."""
+    run.process_pool = None
 
 
 def _end_quietly(number: int, frame: FrameType | None) -> None:

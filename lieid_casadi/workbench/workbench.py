@@ -26,6 +26,7 @@ from lieid_casadi.workbench.worker import Task, Worker, WorkerError, WorkerStopp
 
 KEPT_RESULTS = 48  # evaluations and curves
 SOON = 1.0  # s; work that takes longer has a progress bar
+SHOWN_FIRST = 0.05  # s, by which a file is written later than the page is drawn
 PLAY_SECONDS = 0.35, 2.5  # of each model on the way to the last, and of all of them at most
 
 
@@ -93,6 +94,7 @@ class Workbench:
         self._front = worker or Worker(setup)
         self._back = Worker(setup)
         self._closed, self._completing = False, asyncio.Lock()
+        self._unsaved: asyncio.TimerHandle | None = None
         self._listeners: list[Callable[[], None]] = []
         self._tasks: set[asyncio.Task[Any]] = set()
 
@@ -295,6 +297,9 @@ class Workbench:
     def close(self) -> None:
         """End both processes."""
         self._closed = True
+        if self._unsaved is not None:
+            self._unsaved.cancel()
+            self._write()
         self._front.stop()
         self._back.stop()
 
@@ -305,16 +310,17 @@ class Workbench:
     ) -> Any:
         """Return the result of work, whose progress is the attribute ``name`` if it is shown.
 
-        None if it is stopped or, with ``error``, fails.
+        None if it is stopped or, with ``error``, fails. The page looks at the progress by itself.
         """
         begun, made = time.monotonic(), None
 
         def reports(stage: str, fraction: float) -> None:
             if name:
                 setattr(self, name, Work(stage, fraction, begun))
-                self.changed()
 
         reports("start", 0.0)
+        if name:
+            self.changed()
         later = asyncio.get_running_loop().call_later(SOON, self.changed)
         try:
             inputs = self.session.inputs
@@ -326,7 +332,8 @@ class Workbench:
         later.cancel()
         if name:
             setattr(self, name, None)
-        self.changed()
+        if made is None or name != "fitting":  # a fit is shown by who waits for it
+            self.changed()
         return made
 
     async def _check(self) -> None:
@@ -348,7 +355,6 @@ class Workbench:
         made: Evaluation | None = self._result("evaluation", step)
         if made is None:
             self.computing = True
-            self.changed()
             made = await self._evaluated(self._front, step, quick=True)
             self.computing = False
             if made is None or self.session.inputs is not inputs:
@@ -421,6 +427,12 @@ class Workbench:
                 self.changed()
 
     def _save(self) -> None:
+        """Save the session once what has changed is shown."""
+        if self._unsaved is None:
+            self._unsaved = asyncio.get_running_loop().call_later(SHOWN_FIRST, self._write)
+
+    def _write(self) -> None:
+        self._unsaved = None
         try:
             save_session(self.name, self.session)
         except LieidError as error:

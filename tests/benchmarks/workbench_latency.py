@@ -6,7 +6,8 @@ Without ``--samples`` on the UR10e recordings (80 s to fit, LIEID_RECORDINGS), o
 simulated recordings of that many samples. Every second click adds another effect of the library to
 the first model, on another joint, so that it needs a fit; the others undo it. "page" is the time
 from the click to the new number and drawn figures in the page, in a browser that renders in
-software on the same cores; "browser CPU" is that of the main thread of the page. Standard
+software on the same cores; "browser CPU" is that of the main thread of the page, "server CPU" that
+of the server without the processes that fit. Standard
 deviations and noise floor follow later and are not part of these times: the next click comes half a
 second after the numbers, whether they are there or not. Memory: of the server and its processes,
 and of the page, after a tenth of the clicks and after all.
@@ -14,6 +15,7 @@ and of the page, after a tenth of the clicks and after all.
 
 import argparse
 import json
+import os
 import sys
 import tempfile
 import time
@@ -128,6 +130,12 @@ def thread_time(page) -> float:
     return next(m["value"] for m in metrics if m["name"] == "TaskDuration")
 
 
+def server_time(server) -> float:
+    """Return the CPU time of the server without its processes so far, s."""
+    fields = Path(f"/proc/{server.process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def memory(page, server) -> tuple[float, float]:
     """Return the memory of the server with its processes, and of the page, MB."""
     children = Path(f"/proc/{server.process.pid}/task/{server.process.pid}/children").read_text()
@@ -173,11 +181,13 @@ def measure(inputs: WorkbenchInputs, folder: Path, clicks: int):
         times, used = [], []
         for k, label in enumerate(effects):
             spot = label.replace(":", "-").partition("<")[0]
-            before = thread_time(page)
+            before, served = thread_time(page), server_time(server)
             took = page.driver.execute_async_script(CLICK, f"candidate-{spot}") / 1000.0
             drawing = thread_time(page) - before
-            times.append((label, took, drawing))
-            sys.stdout.write(f"{label:28} page {took:.2f} s, browser CPU {drawing:.2f} s\n")
+            serving = server_time(server) - served
+            times.append((label, took, drawing, serving))
+            text = f"{took:.2f} s, CPU of browser {drawing:.2f} s, of server {serving:.2f} s"
+            sys.stdout.write(f"{label:28} page {text}\n")
             sys.stdout.flush()
             time.sleep(0.5)
             page.click("undo")
@@ -205,7 +215,7 @@ def main() -> None:
     both = np.array([row[1:] for row in times])
     result = {
         name: {f"p{p}": round(float(np.percentile(values, p)), 3) for p in (50, 95)}
-        for name, values in (("page", both[:, 0]), ("browser CPU", both[:, 1]))
+        for name, values in zip(("page", "browser CPU", "server CPU"), both.T, strict=True)
     }
     result["MB of server and page"] = used
     sys.stdout.write(f"{result}\n")

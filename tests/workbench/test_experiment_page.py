@@ -5,6 +5,7 @@ import sys
 from multiprocessing import Pipe
 from pathlib import Path
 
+import numpy as np
 import pytest
 from experiments import arms
 
@@ -60,8 +61,8 @@ def test_the_user_pauses_continues_and_ends():
     ours, theirs = Pipe()
     page = _Page.__new__(_Page)
     page._robot, page._pipe, page._asks, page._told = arms.ROBOT, ours, False, 0.0
-    run = arms.sines(arms.arm())
-    samples = MotionSamples(run.t, run.q, run.q, run.q)
+    t, q = np.linspace(0.0, 1.0, 11), np.zeros((11, 2))
+    samples = MotionSamples(t, q, q, q)
     motion = PlannedMotion(1, Purpose("excitation"), samples, 0.0, "", (), (), Path("round-1"))
     assert page.confirm(motion)  # --yes: nobody is asked
     for words, runs, asks in (
