@@ -30,13 +30,3 @@ def test_fit_of_0_1_0_predicts_identically(motion, name):
     assert ",".join(fit.model.effects) == EFFECTS[name]
     expected = np.loadtxt(FOLDER / f"predicted_{name}.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(fit.predict(motion), expected, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", EFFECTS)
-def test_fit_of_0_1_0_survives_a_round_trip(name, tmp_path):
-    fit = lieid.Fit.load(FOLDER / f"fit_{name}.json")
-    fit.save(tmp_path / "again.json")
-    again = lieid.Fit.load(tmp_path / "again.json")
-    np.testing.assert_array_equal(again.parameters, fit.parameters)
-    np.testing.assert_array_equal(again.shapes, fit.shapes)
-    assert again.provenance == fit.provenance

@@ -61,7 +61,7 @@ def text(values):
     return " ".join(repr(float(value)) for value in values)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(0, 8, 2))
 def test_urdf_and_yaml_agree(seed, tmp_path):
     rng = np.random.default_rng(seed)
     arm = random_arm(rng, 1 + seed, off_origin=False)
@@ -80,7 +80,7 @@ def test_urdf_and_yaml_agree(seed, tmp_path):
         np.testing.assert_allclose(left.link, right.link, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(0, 8, 2))
 def test_kinematics_and_torques_are_those_of_pinocchio_reading_the_urdf(seed):
     rng = np.random.default_rng(100 + seed)
     arm = random_arm(rng, 2 + seed, off_origin=False)
