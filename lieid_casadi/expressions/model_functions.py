@@ -19,7 +19,6 @@ from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
 
 SIGNAL_NAMES = ("q", "dq", "ddq", "load", "temperature", "time", "command_error")
-STEPS = 256  # samples per call of the unrolled step of states
 
 
 @dataclass(frozen=True)
@@ -177,11 +176,6 @@ class ModelFunctions:
         )
 
     @cached_property
-    def steps(self) -> ca.Function:
-        """`advance` over STEPS consecutive samples: inputs (·, STEPS), states (S, STEPS)."""
-        return self.advance.mapaccum("steps", STEPS).expand()
-
-    @cached_property
     def inverse_dynamics(self) -> SparseFunction:
         """Rigid torque (n, 1) of motion and link parameters."""
         torque = recursion.inverse_dynamics(self.model.robot, self.motion, self.parameters)
@@ -215,25 +209,17 @@ def states_along(functions: ModelFunctions, signals: Mapping[str, Array]) -> Arr
     are left out; ``shapes`` (s,) and ``dead_zone`` (n,).
     """
     samples, model = len(signals["q"]), functions.model
-    states = np.empty((samples, len(model.states)))
-    if not samples:
+    states = np.tile(model.initial_states, (samples, 1))
+    if samples < 2:
         return states
-    states[0] = current = model.initial_states
     series = [_series(signals, name, samples, model.n) for name in SIGNAL_NAMES]
     constants = [
-        np.repeat(np.reshape(signals[name], (-1, 1)), STEPS, axis=1)
+        np.repeat(np.reshape(signals[name], (-1, 1)), samples - 1, axis=1)
         for name in ("shapes", "dead_zone")
     ]
-    for first in range(0, samples - 1, STEPS):
-        # the last chunk is filled with the last sample; the surplus results are discarded
-        rows = np.minimum(np.arange(first, first + STEPS + 1), samples - 1)
-        chunk = [x[:, rows] for x in series]
-        result = functions.steps(
-            current, *(x[:, :-1] for x in chunk), *(x[:, 1:] for x in chunk), *constants
-        ).full()
-        count = min(STEPS, samples - 1 - first)
-        states[first + 1 : first + 1 + count] = result[:, :count].T
-        current = result[:, count - 1]
+    steps = functions.advance.mapaccum("steps", samples - 1)
+    ends = (*(x[:, :-1] for x in series), *(x[:, 1:] for x in series))
+    states[1:] = steps(model.initial_states, *ends, *constants).full().T
     return states
 
 

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.expressions.model_functions import STEPS, ModelFunctions, states_along
+from lieid_casadi.expressions.model_functions import ModelFunctions, states_along
 from lieid_casadi.recording import Processing
 
 ROBOT = lieid.robots.two_link()
@@ -80,9 +80,8 @@ def test_lugre_solves_its_equation():
     assert np.median(np.abs(columns[:, 1] - rate)) < 2e-3
 
 
-@pytest.mark.parametrize("samples", [1, 2, STEPS, STEPS + 1, 3 * STEPS + 5])
+@pytest.mark.parametrize("samples", [1, 2, 773])
 def test_any_number_of_samples(samples):
-    """Chunks of the unrolled step are continuous."""
     t = np.linspace(0.0, 5.0, samples)
     q, dq = loop(t)
     model = lieid.Model(ROBOT, "presliding")
