@@ -73,13 +73,13 @@ def capsules_of(robot: Robot) -> tuple[Capsule, ...]:
     return (*found, *(line for line in skeleton(robot) if line.link not in have))
 
 
-def skeleton(robot: Robot, *, radius: float | None = None) -> tuple[Capsule, ...]:
+def skeleton(robot: Robot) -> tuple[Capsule, ...]:
     """Return capsules along the lines from joint to joint, for robots without geometry.
 
     A moving link of zero length is a ball; the last one reaches to its farthest frame.
     """
     homes = _frames(robot)
-    size = SKELETON_RADIUS * arm_length(robot) if radius is None else radius
+    size = SKELETON_RADIUS * arm_length(robot)
     capsules = []
     for link in range(robot.n + 1):
         end = np.array(np.linalg.solve(homes[link], homes[link + 1])[:3, 3], dtype=np.float64)

@@ -54,7 +54,7 @@ def test_covering_balls_cover():
 
 def test_skeleton_runs_along_the_arm():
     robot = lieid.robots.two_link()
-    first, second = skeleton(robot, radius=0.04)
+    first, second = skeleton(robot)
     assert (first.link, second.link) == (1, 2)
     assert np.isclose(np.linalg.norm(first.end), 0.5)
     assert np.isclose(np.linalg.norm(second.end), 0.4)
