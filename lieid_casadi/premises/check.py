@@ -120,6 +120,10 @@ def check(
         why = tuple((p, reason) for p in PREMISES if p not in SAMPLES_ALONE)
         return PremiseCheck(tuple(findings), SAMPLES_ALONE, why)
     report("velocity", 0.1)
+    jump = timing.jump(state.samples)
+    if jump is not None:
+        findings.append(jump[0])
+        state = replace(state, samples=state.samples.at(np.flatnonzero(jump[1])))
     findings += _velocity(state)
     given_errors = state.confirmed.base
     corrected: list[tuple[Finding, Correction]] = []
@@ -392,9 +396,6 @@ def _numbers(values: Array) -> str:
 
 def _velocity(state: _State) -> list[Finding]:
     """Return what is wrong with the recorded velocity, judged by the free fit's error."""
-    jump = timing.jump(state.samples)
-    if jump is not None:
-        return [jump]
     found = timing.velocity(state.samples)
     if found is None:
         return []

@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from lieid_casadi.premises.correction import Correction, shifted
 from lieid_casadi.premises.findings import Finding
-from lieid_casadi.premises.plain_fit import Index, Samples
+from lieid_casadi.premises.plain_fit import Index, Mask, Samples
 from lieid_casadi.premises.screen import Alternative, Screen, best_on
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.plausibility import unit_of_velocity
@@ -39,6 +39,8 @@ NOT_DERIVATIVE, BY_FILTER = 0.15, 0.5
 NOT_DERIVATIVE_SLOW, LONG_LAG = 0.05, 0.05
 #: Part of the instants that has most of the error of a velocity where a position jumps.
 JUMP_PART, MOST_OF_JUMP = 0.05, 0.9
+#: Jump of a position, rad or m, beyond every error of a velocity.
+LEAST_JUMP = 0.05
 #: Relative size of a recorded velocity that counts as zero.
 ZERO_VELOCITY = 1e-3
 
@@ -111,10 +113,11 @@ def with_measured_velocity(s: Samples) -> Samples:
     return replace(s, dq=s.measured, ddq=ddq)
 
 
-def jump(s: Samples) -> Finding | None:
+def jump(s: Samples) -> tuple[Finding, Mask] | None:
     """Return where positions and recorded velocity contradict each other at one instant, or None.
 
-    As where an encoder loses counts: the velocity explains the motion before and after it.
+    As where an encoder loses counts: the velocity explains the motion before and after it. The
+    mask (N,) leaves out that instant, and the shorter side of a position that jumps.
     """
     if not np.all(np.isfinite(s.measured)):
         return None
@@ -125,14 +128,25 @@ def jump(s: Samples) -> Finding | None:
     if not wrong.any() or np.searchsorted(sums, MOST_OF_JUMP * sums[-1]) > JUMP_PART * len(s.t):
         return None
     joints = np.flatnonzero(wrong)[:3]
-    t = float(s.t[int(np.argmax(squares[:, wrong].sum(axis=1)))])
+    at = int(np.argmax(squares[:, wrong].sum(axis=1)))
+    t, recording = float(s.t[at]), np.concatenate([[0], np.cumsum(np.diff(s.t) < 0.0)])
+    own = recording == recording[at]
+    near = own & (np.abs(s.t - t) < 2.0 * s.window)
+    way = np.abs(np.trapezoid((s.dq - s.measured)[near], s.t[near], axis=0))
     names = ", ".join(str(j + 1) for j in joints)
-    return Finding(
+    what = "and hardly elsewhere, the recorded velocity is not the derivative of the position"
+    certain = bool(way.max() > LEAST_JUMP)
+    if certain:
+        what = f"the position jumps by {way.max():.2g} rad, of which the velocity shows nothing"
+        before, after = own & (s.t < t), own & (s.t > t)
+        near |= before if before.sum() < after.sum() else after
+    finding = Finding(
         "velocity_signal", tuple(joints.tolist()), {"seconds": 0.0},
-        f"At t = {t:.4g} s, and hardly elsewhere, the recorded velocity is not the derivative of "
-        f"the position (joint {names}): the position jumps there, or the velocity is wrong.",
+        f"At t = {t:.4g} s, {what} (joint {names}).",
         f"use the parts before and after: REC@:{t - s.window:.4g} or REC@{t + s.window:.4g}:",
+        certain=certain,
     )  # fmt: skip
+    return finding, ~near
 
 
 def velocity(s: Samples) -> Alternative | None:

@@ -229,11 +229,12 @@ def frozen(run):
 )  # fmt: skip
 def test_what_is_wrong_with_a_part_of_a_recording(run, change, premise, joints, words):
     """It is no other arm, and no unit of all joints."""
-    findings = lieid.check(ROBOT, change(run)).findings
-    (found,) = [f for f in findings if f.premise == premise]
+    made = lieid.check(ROBOT, change(run))
+    (found,) = [f for f in made.findings if f.premise == premise]
+    assert made.verdict == "wrong"
     assert found.joints == joints
     assert words in found.sentence
-    assert "robot_mismatch" not in {f.premise for f in findings}
+    assert "robot_mismatch" not in {f.premise for f in made.findings}
 
 
 def test_encoder_counts_are_not_taken_for_degrees(run):
