@@ -265,7 +265,7 @@ def _steps(
     options: DiagnosisOptions,
 ) -> tuple[Step, ...]:
     groups = [c.slot.group for c in changes]
-    accepted = [Accepted.of(found, c.slot, groups, options) for c in changes]
+    accepted = [Accepted.of(found, c.slot, groups, (), options) for c in changes]
     torques = _torques(found, changes)
     complete = _misfit(found.rows, found.spread, torques) * found.spread
     numbers = groups_of(accepted)

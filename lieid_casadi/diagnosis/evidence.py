@@ -38,6 +38,8 @@ class Slot:
     gains : (K,)
         ln of the error of each held-out part without it over that with it, on the joints on which
         it acts.
+    deviations : float
+        Their mean in its standard errors.
     before, after : (n,)
         Weighted held-out sum of squares of each joint without it and with it.
     selected, selected_any : float
@@ -52,6 +54,7 @@ class Slot:
 
     group: int
     gains: Array
+    deviations: float
     before: Array
     after: Array
     selected: float
@@ -59,12 +62,6 @@ class Slot:
     instead: tuple[int, ...]
     values: Array
     joint: int
-
-    @property
-    def deviations(self) -> float:
-        """The mean gain in its standard errors."""
-        error = float(np.std(self.gains, ddof=1) / np.sqrt(len(self.gains)))
-        return float(np.mean(self.gains)) / max(error, 1e-12)
 
     @property
     def fall(self) -> float:
@@ -149,20 +146,33 @@ def judge(
     for e, group in enumerate(whole):
         own = [columns.owner[group] in columns.owner[list(m[group])] for m in members]
         instead = [g for m in members for g in m[group] if columns.owner[g] != columns.owner[group]]
+        joint = _joint_of(columns.candidate(group), before[e], after[e])
         found.append(
             Slot(
                 group,
                 gains[e],
+                folds.deviations(gains[e], joint),
                 before[e],
                 after[e],
                 float(np.mean(own)),
                 float(np.mean([bool(m[group]) for m in members])),
                 tuple(dict.fromkeys(instead)),
                 values[group],
-                _joint_of(columns.candidate(group), before[e], after[e]),
+                joint,
             )
         )
     return tuple(found)
+
+
+def held_out_squares(
+    span: Span, columns: Columns, folds: Folds, parts: Sequence[Sequence[int]]
+) -> Array:
+    """Return the sum of squared errors (K, n) of each held-out part and joint, of K paths."""
+    found = []
+    for k, path in enumerate(parts):
+        held = HeldOut(span, folds, k, {g: span.outside(columns.stacked(g)) for g in path})
+        found.append(held.squares(path))
+    return np.array(found)
 
 
 class HeldOut:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.rows import Rows
+from lieid_casadi.diagnosis.step import LEAST_STRETCHES
 from lieid_casadi.identification.uncertainty.noise_model import (
     RATE_OVER_CUTOFF,
     Noise,
@@ -32,19 +33,28 @@ class Folds:
     out : (K, R) bool
         These, and the rows within ``gap`` seconds of them, whose noise is correlated with theirs.
     gap : float
-    independent : int
-        Stretches of the recordings, as long as the correlation of the residual, in motion.
+    independent : (n,) int
+        Stretches of the recordings, as long as the correlation of each joint's residual.
     """
 
     held: Mask
     out: Mask
     gap: float
-    independent: int
+    independent: NDArray[np.intp]
 
     @property
     def count(self) -> int:
         """Number of parts."""
         return len(self.held)
+
+    def deviations(self, gains: Array, joint: int) -> float:
+        """Return the mean of gains (K,) on a joint in its standard errors.
+
+        Parts count as far as each has `LEAST_STRETCHES` that are independent.
+        """
+        parts = np.clip(self.independent[joint] / LEAST_STRETCHES, 1.0, self.count)
+        error = float(np.std(gains, ddof=1) / np.sqrt(parts))
+        return float(np.mean(gains)) / max(error, 1e-12)
 
 
 def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:
@@ -62,20 +72,19 @@ def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:
         K.
     """
     noise = [noise_of(r, run) for r, run in zip(residual, rows.runs, strict=True)]
-    lasting = max(redundancy(each) for each in noise)
+    lasting = np.array([redundancy(each) for each in noise])
     correlated = lasting / (RATE_OVER_CUTOFF * rows.segments[0].cutoff)
     place, near = places(rows, count)
     whole = sum(float(s.filtered_time[-1] - s.filtered_time[0]) for s in rows.segments)
-    gap = min(correlated, LARGEST_GAP * whole / count)
+    gap = min(float(correlated.max()), LARGEST_GAP * whole / count)
     held, out = [], []
     for k in range(count):
         own = place == k
         held.append(own)
         out.append(own | (_distance(near, near[own]) < gap))
     at = np.concatenate([run.all for run in rows.runs])
-    return Folds(
-        np.array(held)[:, at], np.array(out)[:, at], gap, int(whole / max(correlated, 1e-9))
-    )
+    independent = (whole / correlated).astype(np.intp)
+    return Folds(np.array(held)[:, at], np.array(out)[:, at], gap, independent)
 
 
 def redundancy(noise: Noise) -> float:

@@ -263,7 +263,7 @@ class MissingEffects:
                 self.rejected[label] = reason
         new = represented(found, new, self.options.rival_deviations)
         groups = [slot.group for slot in new]
-        return [Accepted.of(found, slot, groups, self.options) for slot in new]
+        return [Accepted.of(found, slot, groups, accepted, self.options) for slot in new]
 
     def _set_apart(self, found: Round) -> bool:
         """Keep what differs between the recordings, and set its columns apart; whether any does."""
@@ -355,20 +355,27 @@ def _fall(
 ) -> float:
     """Return how much an effect lowers the cross-validated error of its joint, relative to it.
 
-    A smooth function of the joint that contains a part of the effect is left out: beside one,
-    a piece of any other form would be worth its place.
+    Where a smooth function contains a part of the effect and was there before it, the effect must
+    be worth it without the function, too: beside one, a piece of any other form would be.
     """
     added = [*gone, *(a.placement for a in left)]
-    smooth = [a for a in left if a.candidate.name == SMOOTH and a.joint == found.joint]
     contain = [
         a.placement
-        for a in smooth
-        if found.candidate.name != SMOOTH
+        for a in left
+        if found.beside_smooth
+        and found.candidate.name != SMOOTH
+        and (a.candidate.name, a.joint) == (SMOOTH, found.joint)
         and model.contained(found.placement, a.placement, added) > CONTAINED
     ]
-    complete = model.cross_validated(model.columns_of([*gone, *contain]))
-    without = model.cross_validated(model.columns_of([*gone, *contain, found.placement]))
-    return float(1.0 - complete[found.joint] / without[found.joint])
+
+    def fall(without: Sequence[Placement]) -> float:
+        complete, less = (
+            model.cross_validated(model.columns_of([*gone, *without, *own]))[found.joint]
+            for own in ([], [found.placement])
+        )
+        return float(1.0 - complete / less)
+
+    return min(fall([]), fall(contain)) if contain else fall([])
 
 
 def _with_formulas(steps: tuple[Step, ...], final: FinalModel, rows: Rows) -> tuple[Step, ...]:

@@ -7,7 +7,7 @@ of rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,8 +22,6 @@ Mask = NDArray[np.bool_]
 LEAST_INFORMATION = 0.3
 LEAST_OWN_PART = 0.03  # of a column outside the span of model and path: with less its gain is noise
 RIDGE = 1e-4  # of a column's square, for groups of nearly dependent columns
-#: Part of what a smooth function explains that effects of the library must explain in its place.
-LEAST_PART = 0.9
 EXCHANGED = 6  # length of a path up to which every addition is followed by an exchange
 MARGIN = 0.01  # relative gain by which a group must exceed the one in whose place it comes
 RANK = 1e-9  # of a model's pivot, relative to the largest
@@ -355,7 +353,7 @@ class Rules:
     usable : (G,) bool
         Groups that are candidates.
     smooth : (G,) bool
-        Smooth functions among them: they come after all others, or in place of several of them.
+        Smooth functions among them: they come after all others, except on some joints.
     allowed : callable
         Of a group and its coefficients: whether it may be in a path.
     most : int
@@ -368,18 +366,15 @@ class Rules:
     allowed: Callable[[int, Array], bool]
     most: int
 
-    def score(self, state: PathState) -> float:
-        """Return what a path gains beyond its penalties."""
-        return state.explained - float(self.penalty[list(state.groups)].sum())
 
-
-def forward(paths: Paths, part: int, rules: Rules) -> tuple[int, ...]:
+def forward(
+    paths: Paths, part: int, rules: Rules, *, smooth_first: Collection[int] = ()
+) -> tuple[int, ...]:
     """Return the groups of a greedy path with exchange, in the order of their selection.
 
     While the path is short, each of its groups gives way to a better one: the
-    first one is often a compromise of several causes. Effects of the library come first. A smooth
-    function then takes the place of all effects on its joint if it explains more than they do, by
-    more than what its parameters cost; other smooth functions are added at the end.
+    first one is often a compromise of several causes. Effects of the library come before smooth
+    functions, except on some joints.
 
     Parameters
     ----------
@@ -387,32 +382,13 @@ def forward(paths: Paths, part: int, rules: Rules) -> tuple[int, ...]:
     part : int
         That is left out; −1 for none.
     rules : Rules
+    smooth_first : collection of int
+        Joints on which smooth functions compete with the effects of the library from the start.
     """
-    library = replace(rules, usable=rules.usable & ~rules.smooth)
-    state = _grown(paths.state(part), library)
-    if not (rules.usable & rules.smooth).any():
-        return state.groups
-    columns = paths.columns
-    smooth = replace(rules, usable=rules.usable & rules.smooth)
-    for joint in np.unique([c.joint for c in columns.owners]):
-        here = np.array([c.joint == joint for c in columns.owners])[columns.owner]
-        one = replace(smooth, usable=smooth.usable & here)
-        bare = state
-        for group in state.groups:
-            if here[group] and columns.candidate(group).joints:
-                bare = bare.without(group)
-        if len(bare.groups) == len(state.groups):
-            continue  # there is nothing to replace
-        best = _best(bare, one, np.zeros(len(here), dtype=bool))
-        if best is None:
-            continue
-        alone = bare.with_group(best)
-        if state.explained - bare.explained < alone.explained - bare.explained:
-            other = _grown(alone, library)
-            own, theirs = (s.explained - bare.explained for s in (state, other))
-            if own < LEAST_PART * theirs and rules.score(other) > rules.score(state):
-                state = other
-    return _grown(state, smooth).groups
+    joint = np.array([c.joint for c in paths.columns.owners])[paths.columns.owner]
+    early = ~rules.smooth | np.isin(joint, list(smooth_first))
+    state = _grown(paths.state(part), replace(rules, usable=rules.usable & early))
+    return _grown(state, replace(rules, usable=rules.usable & rules.smooth)).groups
 
 
 def _grown(state: PathState, rules: Rules) -> PathState:

@@ -19,7 +19,7 @@ from lieid_casadi.diagnosis.findings import (
     unexplained_sentence,
 )
 from lieid_casadi.diagnosis.plots import draw_errors
-from lieid_casadi.diagnosis.step import Difference, Step, Unexplained, or_null
+from lieid_casadi.diagnosis.step import LEAST_STRETCHES, Difference, Step, Unexplained, or_null
 from lieid_casadi.diagnosis.transients import Event
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification import Fit
@@ -31,8 +31,6 @@ from lieid_casadi.tables import Table, html, make_table
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-LEAST_STRETCHES = 20  # two in each of ten held-out parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +133,9 @@ class Diagnosis:
                 f"The search ended at its limit ({join_words(self.limits_reached)}); "
                 "further effects may be missing."
             )
-        stretches = min((s.evidence.independent for s in self.steps), default=LEAST_STRETCHES)
-        if stretches < LEAST_STRETCHES:
+        found = [step.evidence for step in self.steps]
+        stretches = min((e.independent for e in found), default=0)
+        if any(e.independent < LEAST_STRETCHES * len(e.gains) for e in found):
             parts.append(
                 f"The error is independent in only {stretches} stretches of the recordings, fewer "
                 "than two in each held-out part, so that the evidence is uncertain; record longer."

@@ -109,15 +109,16 @@ def _slow(rows: Rows, joint: int) -> Array:
 
 
 def _products(parts: Sequence[Array]) -> Array:
-    """Return the polynomials of one or two signals, and their products."""
+    """Return the polynomials of one signal, or the first ones of two and their products."""
     if len(parts) == 1:
         return parts[0]
-    products = np.einsum("ra,rb->rab", *parts).reshape(len(parts[0]), -1)
-    return np.hstack([*parts, products])
+    few = [part[:, :3] for part in parts]
+    products = np.einsum("ra,rb->rab", *few).reshape(len(few[0]), -1)
+    return np.hstack([*few, products])
 
 
 def _polynomials(rows: Rows, joint: int) -> Iterator[tuple[str, Array]]:
-    """Yield the name of each signal as in ``smooth/dq.q5``, and polynomials of it (R_j, 3)."""
+    """Yield the name of each signal as in ``smooth/dq.q5``, and polynomials of it (R_j, k)."""
     names = [(name, joint) for name in FIELDS if name != "temp" or _measured(rows)]
     names += [(name, j) for j in range(len(rows.runs)) if j != joint for name in OTHERS]
     for name, j in names:
@@ -128,7 +129,8 @@ def _polynomials(rows: Rows, joint: int) -> Iterator[tuple[str, Array]]:
         label = name if j == joint else f"{name}{j + 1}"
         if name == "dq":
             x = np.clip(values / max(abs(low), abs(high)), -1.2, 1.2)
-            yield label, np.column_stack([np.sign(x), x, np.abs(x)])
+            odd = [x * np.abs(x), x**3] if j == joint else []  # the model has the others
+            yield label, np.column_stack([np.sign(x), x, np.abs(x), *odd])
         else:
             x = np.clip(2.0 * (values - low) / (high - low) - 1.0, -1.2, 1.2)
             yield label, np.column_stack([x, 1.5 * x**2 - 0.5, 2.5 * x**3 - 1.5 * x])

@@ -13,6 +13,8 @@ from lieid_casadi.simulation import MotionGain
 
 Status = Literal["named", "one_of", "shape"]
 
+LEAST_STRETCHES = 2  # independent ones in each held-out part, for full evidence
+
 
 @dataclass(frozen=True)
 class Rival:

@@ -32,7 +32,7 @@ from lieid_casadi.identification.regression.cross_validation import (
     cross_validated_rms,
     fold_factors,
 )
-from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.design_matrix import Design, with_priors
 from lieid_casadi.identification.regression.least_squares import Factor, Rows
 from lieid_casadi.recording import Processed
 
@@ -42,7 +42,10 @@ ABSORBED = 1e-6  # part of a column outside the model's span, below which the mo
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """An effect that the search adds, with what the held-out parts say of it."""
+    """An effect that the search adds, with what the held-out parts say of it.
+
+    ``beside_smooth`` tells whether there was a smooth function of its joint when it was found.
+    """
 
     candidate: Candidate
     shapes: Array
@@ -50,12 +53,18 @@ class Accepted:
     evidence: Evidence
     rivals: tuple[Rival, ...]
     status: Status
+    beside_smooth: bool
 
     @classmethod
     def of(
-        cls, found: Round, slot: Slot, groups: Sequence[int], options: DiagnosisOptions
+        cls,
+        found: Round,
+        slot: Slot,
+        groups: Sequence[int],
+        earlier: Sequence[Accepted],
+        options: DiagnosisOptions,
     ) -> Accepted:
-        """Return an effect of a round beside the other groups that are accepted with it."""
+        """Return an effect of a round beside earlier ones and groups that are accepted with it."""
         candidate = found.columns.candidate(slot.group)
         others = [g for g in groups if g != slot.group]
         near = rivals_of(found, slot, others, options.rival_deviations)
@@ -65,14 +74,22 @@ class Accepted:
             slot.deviations,
             slot.selected,
             slot.selected_any,
-            found.folds.independent,
+            int(found.folds.independent[slot.joint]),
         )
         # without a part of the data something else was in its place, or nothing
         status: Status = "named" if not rivals and slot.selected == 1.0 else "one_of"
         if candidate.name == SMOOTH:
             status = "shape"
+        beside = [*(found.columns.candidate(g) for g in others), *(a.candidate for a in earlier)]
+        smooth = any(c.name == SMOOTH and c.joint == slot.joint for c in beside)
         return cls(
-            candidate, found.columns.shapes(slot.group), slot.joint, evidence, rivals, status
+            candidate,
+            found.columns.shapes(slot.group),
+            slot.joint,
+            evidence,
+            rivals,
+            status,
+            smooth,
         )
 
     @property
@@ -322,6 +339,8 @@ class FinalModel:
     train, test : tuple of (p + 1, p + 1)
         Of each joint: inner products of columns and torque of its rows in motion. ``test`` is
         None without one.
+    priors : (p + 1, p + 1)
+        Inner products of what is known before any data.
     counts, test_counts : (n,)
         Numbers of these rows.
     folds : tuple of Fold
@@ -330,6 +349,7 @@ class FinalModel:
 
     fit: Fit
     train: tuple[Array, ...]
+    priors: Array
     counts: Array
     test: tuple[Array, ...] | None
     test_counts: Array
@@ -340,8 +360,10 @@ class FinalModel:
         cls, fit: Fit, segments: Sequence[Processed], tests: Sequence[Processed] | None
     ) -> FinalModel:
         """Return the final model of a fit to segments, and to those of a test."""
-        rows = Design(fit.compiled, segments).rows(fit.shapes, fit.parameters)
+        design = Design(fit.compiled, segments)
+        rows = design.rows(fit.shapes, fit.parameters)
         train, counts = _products(rows)
+        known = with_priors(Factor(np.zeros((1, rows.count + 1)), 0), design).r
         of_test, test_counts = None, np.zeros(fit.model.n)
         if tests:
             of_test, test_counts = _products(
@@ -350,8 +372,10 @@ class FinalModel:
         time = segments[0].filtered_time
         step = float(time[1] - time[0]) if len(time) > 1 else 1.0
         block = max(int(BLOCK_OVER_CUTOFF / segments[0].cutoff / step), 1)
-        folds = fold_factors(rows, fit.noise, fit.values, block=block)
-        return cls(fit, train, counts, of_test, test_counts, folds)
+        folds = fold_factors(
+            rows, fit.noise, fit.values, block=block, priors=lambda f: with_priors(f, design)
+        )
+        return cls(fit, train, known.T @ known, counts, of_test, test_counts, folds)
 
     def columns_of(self, placements: Sequence[Placement]) -> Indices:
         """Return the columns of placed effects."""
@@ -381,7 +405,7 @@ class FinalModel:
         kept = np.setdiff1d(np.arange(count), without)
         values = np.zeros(count)
         weights = 1.0 / self.fit.noise**2
-        gram = np.einsum("j,jab->ab", weights, np.array(self.train))
+        gram = np.einsum("j,jab->ab", weights, np.array(self.train)) + self.priors
         values[kept] = solved(gram[np.ix_(kept, kept)], gram[kept, -1])
 
         return {

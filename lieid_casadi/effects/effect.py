@@ -131,8 +131,9 @@ class Coefficient:
     limit : float
         Size that no real arm exceeds, also of a change. A diagnosis names no larger value.
     prior : callable, optional
-        Mean and standard deviation that are known before any data, from the sampling rate, Hz, and
-        the control law of the joint's drive; None if they are not known.
+        Mean and standard deviation that are known before any data, from the sampling rate, Hz, the
+        control law of the joint's drive, and the RMS of the joint's torque, N·m; None if they are
+        not known.
     """
 
     name: str
@@ -143,7 +144,7 @@ class Coefficient:
     resolved_by: Literal["", "sample_time", "lead"] = ""
     opposes_motion: bool = False
     limit: float = np.inf
-    prior: Callable[[float, Drive | None], tuple[float, float] | None] | None = None
+    prior: Callable[[float, Drive | None, float], tuple[float, float] | None] | None = None
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.compiled_model import default_threads
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.effects.command_delay import CommandDelay
+from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.errors import ModelError
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import center_temperature, training_rms
@@ -139,9 +140,8 @@ class _Problem:
         own = [(p.effect, c) for p in fit.model.placements for c in p.effect.coefficients]
         used = [
             k
-            for k, (effect, coefficient) in enumerate(own)
-            if not isinstance(effect, Backlash)
-            and (coefficient.prior is None or isinstance(effect, CommandDelay))
+            for k, (effect, _) in enumerate(own)
+            if not isinstance(effect, (Backlash, TorqueSaturation))
         ]
         columns, values = np.array(used, dtype=np.intp), fit.effect_coefficients
         names = np.array([column.name for column in fit.model.columns])

@@ -191,6 +191,42 @@ def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
     np.testing.assert_array_equal(again.values, diagnosis.fit.values)
 
 
+def test_a_smooth_function_goes_before_many_effects_that_resemble_it_together():
+    """An end stop: three effects of the library imitate it, none of which is worth it alone."""
+    stop = plant.ForeignTorque(1, lambda s: 3.0 * np.maximum(s.q[..., 1] - 0.5, 0.0))
+    arm = arm_with().with_effects(stop)
+    diagnosis = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2))
+    assert [step.label for step in diagnosis.steps] == ["smooth/q:2"]
+    before, after = (e["rms_test"][1] for e in (diagnosis.baseline, diagnosis.steps[0].errors))
+    assert after < 0.3 * before
+
+
+def test_a_smooth_function_leaves_gravity_to_the_links():
+    """A function of an angle resembles gravity: what the data do not decide must not be large."""
+    stop = plant.ForeignTorque(0, lambda s: 8.0 * np.maximum(s.q[..., 0] - 0.5, 0.0))
+    arm = arm_with().with_effects(stop)
+    plain, fit = (
+        lieid.identify(lieid.Model(ROBOT, ["coulomb", "viscous", "offset", *more]), run(arm, 1))
+        for more in ((), ("smooth/q:1",))
+    )
+    values = dict(zip([p.name for p in fit.fitted], fit.values, strict=False))
+    assert all(abs(v) < 5.0 for name, v in values.items() if name.startswith("smooth"))
+    before, after = (lieid.compare(f, run(arm, 2)).rms_moving[0] for f in (plain, fit))
+    assert after < 0.3 * before
+
+
+def test_an_effect_stays_where_a_smooth_function_that_came_later_goes():
+    """A rough spot: a ripple of friction explains most of it, a function of q and dq the rest."""
+    spot = plant.ForeignTorque(
+        1, lambda s: s.sign[..., 1] / (1.0 + ((s.q[..., 1] + 0.4) / 0.2) ** 2)
+    )
+    arm = arm_with().with_effects(spot)
+    diagnosis = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2))
+    assert diagnosis.steps[0].label == "position_friction:2"
+    before, after = (e["rms_test"][1] for e in (diagnosis.baseline, diagnosis.steps[-1].errors))
+    assert after < 0.8 * before
+
+
 def test_a_ripple_that_is_a_piece_of_a_smooth_function_is_not_a_step():
     """A bump of torque over the angle is no ripple, though a ripple makes its spline finer."""
     bump = plant.ForeignTorque(

@@ -37,7 +37,7 @@ def problem(seed, *, signal=(), size=0.5):
 def parts(count=5):
     block = np.tile(np.arange(ROWS) * count // ROWS, 2)
     held = np.array([block == k for k in range(count)])
-    return Folds(held, held, 0.0, 100)
+    return Folds(held, held, 0.0, np.array([100, 100]))
 
 
 def rules(columns, penalty=20.0):

@@ -37,14 +37,24 @@ class Fold:
         return np.array([factor.misfit(values) for factor in self.held])
 
 
-def fold_factors(rows: Rows, noise: Array, values: Array, *, block: int) -> tuple[Fold, ...]:
-    """Return the folds; blocks of ``block`` consecutive instants are assigned to them in turn."""
+def fold_factors(
+    rows: Rows,
+    noise: Array,
+    values: Array,
+    *,
+    block: int,
+    priors: Callable[[Factor], Factor],
+) -> tuple[Fold, ...]:
+    """Return the folds; blocks of ``block`` consecutive instants are assigned to them in turn.
+
+    ``priors`` adds to the rows of a fit what is known before any data.
+    """
     fold = rows.blocks(block) % FOLDS
     parts = [rows.factors_at(fold == held) for held in range(FOLDS)]
     folds = []
     for held, own in enumerate(parts):
         others = [factor for k, part in enumerate(parts) if k != held for factor in part]
-        rest = combine(others, np.tile(1.0 / noise, FOLDS - 1))
+        rest = priors(combine(others, np.tile(1.0 / noise, FOLDS - 1)))
         folds.append(Fold(with_whole_fit(rest, combine(own, 1.0 / noise), values), tuple(own)))
     return tuple(folds)
 

@@ -255,12 +255,14 @@ def with_priors(factor: Factor, design: Design) -> Factor:
     """
     model, first = design.model, design.segments[0]
     laws = model.robot.drives or (None,) * model.n
+    torque = np.sqrt(np.mean(np.concatenate([_torque(s) for s in design.segments]) ** 2, axis=0))
     own = [(p, c) for p in model.placements for c in p.effect.coefficients]
     rows = []
     for k, column in enumerate(model.base.kept - 10 * model.n):
         if column < 0 or own[column][1].prior is None:
             continue
-        known = own[column][1].prior(first.recording.rate, laws[own[column][0].joint])
+        joint = own[column][0].joint
+        known = own[column][1].prior(first.recording.rate, laws[joint], float(torque[joint]))
         if known is not None:
             mean, spread = known
             row = np.zeros(factor.r.shape[1])
