@@ -221,8 +221,8 @@ class MissingEffects:
                 continue
             if not gain.fall > self.options.gain_deviations * gain.std:
                 self.rejected[label] = (
-                    "the simulated motion on held-out data is no better with it (its squared "
-                    f"error falls by {100 * gain.fall:.1f} ± {100 * gain.std:.1f} %)"
+                    "the simulated motion on held-out data is no better with it (its error falls "
+                    f"by {100 * gain.fall:.1f} ± {100 * gain.std:.1f} %)"
                 )
                 return others
             self.gains[label] = gain

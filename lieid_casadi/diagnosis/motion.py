@@ -3,7 +3,9 @@
 Of such an arm the motion counts, and its torque is that of a control law, not measured. Windows of
 the training recordings, each within one held-out part, are simulated from measured states with the
 coefficients of the effects that follow from the data outside of that part (one step of Newton's
-method from the fit; link and shape parameters remain). An effect is judged by the windows' ends.
+method from the fit; link and shape parameters remain). As elsewhere in a diagnosis, the gain is the
+mean of the logarithm of a part's error without an effect over that with it: an effect that acts at
+times, such as saturation, is not hidden by the scatter of its gain.
 """
 
 from __future__ import annotations
@@ -67,7 +69,8 @@ class UnseenMotion:
 
     def gain(self, before: Fit, after: Fit) -> MotionGain:
         """Compare two fits on the windows; a `LieidError` states why one cannot be simulated."""
-        return MotionGain.of(self._errors(before), self._errors(after), self.window)
+        parts = np.concatenate([part for _, _, part in self.windows])
+        return MotionGain.of(self._errors(before), self._errors(after), self.window, parts)
 
     def _errors(self, fit: Fit) -> Array:
         """Return simulated minus measured positions (W, n) at the windows' ends."""

@@ -25,7 +25,7 @@ from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
-from lieid_casadi.simulation.integration import Input
+from lieid_casadi.simulation.integration import Indices, Input
 from lieid_casadi.simulation.play import LARGEST, Coordinates, plays_of
 from lieid_casadi.simulation.runs import (
     Run,
@@ -160,6 +160,7 @@ class Simulation:
 
 
 LEAST_ERROR = 1e-4  # rad, below which an error in position does not count
+PARTS = 10  # of the time, over which a gain is averaged
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +168,8 @@ class MotionGain:
     """How much better a second fit predicts the motion of the same windows of recordings.
 
     ``before`` and ``after`` (n,) are the RMS errors of the position at the windows' ends, rad.
-    ``fall`` is the mean fall of the squared error, relative to that before, over joints and
-    windows, ``std`` its standard error over the windows; ``window`` is their length, s.
+    ``fall`` is the mean of ln(before/after) over joints and over parts of the time, ``std`` its
+    standard error over the parts; ``window`` is the windows' length, s.
     """
 
     before: Array
@@ -178,14 +179,19 @@ class MotionGain:
     window: float
 
     @classmethod
-    def of(cls, before: Array, after: Array, window: float) -> MotionGain:
-        """Compare errors (W, n) of two fits at the ends of windows, rad."""
-        squares = before**2, after**2
-        rms = [np.sqrt(np.mean(square, axis=0)) for square in squares]
-        scale = np.maximum(rms[0], LEAST_ERROR) ** 2
-        falls = np.mean((squares[0] - squares[1]) / scale, axis=1)
+    def of(cls, before: Array, after: Array, window: float, parts: Indices) -> MotionGain:
+        """Compare errors (W, n) of two fits at the ends of windows, rad, in parts (W,) of time."""
+
+        def rms(errors: Array) -> Array:
+            return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
+
+        def logarithms(errors: Array) -> Array:
+            own = [rms(errors[parts == k]) for k in np.unique(parts)]
+            return np.asarray(np.log(np.maximum(own, LEAST_ERROR)))
+
+        falls = np.mean(logarithms(before) - logarithms(after), axis=1)
         std = float(falls.std(ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else np.inf
-        return cls(rms[0], rms[1], float(falls.mean()), std, window)
+        return cls(rms(before), rms(after), float(falls.mean()), std, window)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers for JSON; angles in rad."""
@@ -220,7 +226,8 @@ def motion_gain(
     for fit in (before, after):
         require_positive_mass_matrix(fit, runs)
         errors.append(np.concatenate([end_errors([fit], run, run.starts) for run in runs]))
-    return MotionGain.of(errors[0], errors[1], window)
+    count = len(errors[0])
+    return MotionGain.of(errors[0], errors[1], window, PARTS * np.arange(count) // count)
 
 
 INPUTS = {"command": "commanded positions", "torque": "torques"}

@@ -13,7 +13,7 @@ from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ModelError, RecordingError
 from lieid_casadi.exporters.mjcf import mjcf_text
 from lieid_casadi.robot.drive import Drive
-from lieid_casadi.simulation import motion_gain
+from lieid_casadi.simulation import MotionGain, motion_gain
 from lieid_casadi.simulation.simulate import Drift
 
 ROBOT = lieid.robots.two_link().with_drives(Drive(stiffness=60.0, damping=4.0))
@@ -159,6 +159,20 @@ def test_command(tmp_path, capsys):
     assert "nominal model" in " ".join(shown.split())
     with pytest.raises(SystemExit, match="2"):
         main([*words, "--window", "-1"])
+
+
+def test_a_gain_that_shows_at_times_counts_against_a_steady_one():
+    """Saturation acts in some windows: their mean square alone would be within its scatter."""
+    random = np.random.default_rng(0)
+    after, parts = random.normal(size=(40, 1)), np.arange(40) // 4
+    before = (
+        after * np.repeat(random.permutation([20.0, 9.0, 4.0, 2.0, 1.3] + 5 * [1.02]), 4)[:, None]
+    )
+    gain = MotionGain.of(before, after, 1.0, parts)
+    assert gain.fall > 2.0 * gain.std
+    assert gain.fall == pytest.approx(np.log([20.0, 9.0, 4.0, 2.0, 1.3] + 5 * [1.02]).mean())
+    squares = np.mean(before**2 - after**2, axis=1)
+    assert squares.mean() < 2.0 * squares.std(ddof=1) / np.sqrt(40)
 
 
 def test_motion_gain_compares_two_fits_within_the_same_windows():

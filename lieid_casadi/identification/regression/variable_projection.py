@@ -232,7 +232,9 @@ def forward_differences(
     return np.array(changes).reshape(len(shapes), len(here)).T
 
 
-COMMAND_ERRORS = (80.0, 99.5)  # percentiles of |error| between which saturation is searched
+#: Percentiles of |error| between which saturation is searched: the first one of drives whose law,
+#: and with it the stiffness, is not known, the second one of the others.
+COMMAND_ERRORS = (80.0, 25.0, 99.5)
 
 
 def refine_shapes(design: Design, start: Array, links: Array | None, noise: Array) -> Array:
@@ -299,9 +301,9 @@ def _weighted_problem(
 def command_error_range(segments: Sequence[Processed], joint: int) -> tuple[float, float]:
     """Return the errors of position control between which a joint in motion shows saturation, rad.
 
-    Of the largest fifth: where torque saturates at smaller errors than most of the recorded ones,
-    the column of the effect is the recorded torque itself, but for a constant, and every model
-    fits.
+    Of an unknown stiffness those of the largest fifth: where torque saturates at smaller errors
+    than most of the recorded ones, the column of the effect is the recorded torque itself, but for
+    a constant, and every model fits.
     """
     sizes = []
     for s in segments:
@@ -309,7 +311,9 @@ def command_error_range(segments: Sequence[Processed], joint: int) -> tuple[floa
             moving = np.abs(s.dq[:, joint]) > s.dead_zone[joint]
             sizes.append(np.abs(s.command_error[moving, joint]))
     every = np.concatenate(sizes) if sizes else np.zeros(0)
-    low, high = np.percentile(every, COMMAND_ERRORS) if len(every) else (0.0, 0.0)
+    unknown, known, most = COMMAND_ERRORS
+    least = unknown if segments[0].recording.drives is None else known
+    low, high = np.percentile(every, (least, most)) if len(every) else (0.0, 0.0)
     return float(low), float(high)
 
 
