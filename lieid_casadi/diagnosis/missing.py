@@ -216,7 +216,7 @@ class MissingEffects:
         self.gains = {}
         for found in reversed(accepted if self.unseen is not None else []):
             label, others = found.placement.label, [a for a in accepted if a is not found]
-            gain = self._motion_gain(others, fit)
+            gain = self._motion_gain(others, fit, found.joint)
             if gain is None:
                 continue
             if not gain.fall > self.options.gain_deviations * gain.std:
@@ -228,14 +228,18 @@ class MissingEffects:
             self.gains[label] = gain
         return accepted
 
-    def _motion_gain(self, others: Sequence[Accepted], fit: Fit) -> MotionGain | None:
+    def _motion_gain(
+        self, others: Sequence[Accepted], fit: Fit, joint: int | None = None
+    ) -> MotionGain | None:
         """Compare a fit on held-out data with that of fewer effects; None if it cannot be done.
 
         That is of arms without commands, and with masses that are not positive, which method
         ``feasible`` excludes.
         """
         try:
-            return None if self.unseen is None else self.unseen.gain(self._fitted(others), fit)
+            if self.unseen is None:
+                return None
+            return self.unseen.gain(self._fitted(others), fit, joint)
         except LieidError:
             return None
 

@@ -67,10 +67,10 @@ class UnseenMotion:
         every = -(-total // MOST_WINDOWS)
         return cls(rows, folds, window, tuple((r, s[::every], p[::every]) for r, s, p in found))
 
-    def gain(self, before: Fit, after: Fit) -> MotionGain:
-        """Compare two fits on the windows; a `LieidError` states why one cannot be simulated."""
+    def gain(self, before: Fit, after: Fit, joint: int | None = None) -> MotionGain:
+        """Compare two fits, of one joint or all; a `LieidError` states why one is not simulated."""
         parts = np.concatenate([part for _, _, part in self.windows])
-        return MotionGain.of(self._errors(before), self._errors(after), self.window, parts)
+        return MotionGain.of(self._errors(before), self._errors(after), self.window, parts, joint)
 
     def _errors(self, fit: Fit) -> Array:
         """Return simulated minus measured positions (W, n) at the windows' ends."""

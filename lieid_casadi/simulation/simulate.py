@@ -168,8 +168,8 @@ class MotionGain:
     """How much better a second fit predicts the motion of the same windows of recordings.
 
     ``before`` and ``after`` (n,) are the RMS errors of the position at the windows' ends, rad.
-    ``fall`` is the mean of ln(before/after) over joints and over parts of the time, ``std`` its
-    standard error over the parts; ``window`` is the windows' length, s.
+    ``fall`` is the mean of ln(before/after) over parts of the time, of one joint or over all of
+    them, ``std`` its standard error over the parts; ``window`` is the windows' length, s.
     """
 
     before: Array
@@ -179,7 +179,9 @@ class MotionGain:
     window: float
 
     @classmethod
-    def of(cls, before: Array, after: Array, window: float, parts: Indices) -> MotionGain:
+    def of(
+        cls, before: Array, after: Array, window: float, parts: Indices, joint: int | None = None
+    ) -> MotionGain:
         """Compare errors (W, n) of two fits at the ends of windows, rad, in parts (W,) of time."""
 
         def rms(errors: Array) -> Array:
@@ -189,7 +191,8 @@ class MotionGain:
             own = [rms(errors[parts == k]) for k in np.unique(parts)]
             return np.asarray(np.log(np.maximum(own, LEAST_ERROR)))
 
-        falls = np.mean(logarithms(before) - logarithms(after), axis=1)
+        every = logarithms(before) - logarithms(after)
+        falls = np.mean(every, axis=1) if joint is None else every[:, joint]
         std = float(falls.std(ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else np.inf
         return cls(rms(before), rms(after), float(falls.mean()), std, window)
 

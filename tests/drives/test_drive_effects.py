@@ -287,7 +287,7 @@ def test_an_effect_without_which_the_arm_moves_as_well_is_not_added(runs, monkey
     """The motion of an arm under commands counts, not the torque of its law alone."""
     train, test = (with_torque(delayed(run)) for run in runs)
     doubtful = MotionGain(np.ones(2), np.ones(2), 0.1, 0.06, 1.0)
-    monkeypatch.setattr(UnseenMotion, "gain", lambda self, before, after: doubtful)
+    monkeypatch.setattr(UnseenMotion, "gain", lambda self, before, after, joint=None: doubtful)
     found = lieid.diagnose(lieid.Model(ROBOT, BASE), train, test)
     assert not found.steps
     reasons = " ".join(dict(found.rejected).values())
