@@ -2,7 +2,6 @@
 
 from lieid_casadi.diagnosis.diagnose import diagnose
 from lieid_casadi.diagnosis.extend import Extension, extend
-from lieid_casadi.diagnosis.incremental import change_torque
 from lieid_casadi.diagnosis.missing import Proposal
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
@@ -19,7 +18,6 @@ __all__ = [
     "Rival",
     "Step",
     "Unexplained",
-    "change_torque",
     "diagnose",
     "extend",
 ]

@@ -261,8 +261,8 @@ class FindingsView(View):
         changed = session.inputs.mode == "changed"
         self._all.set_visibility(bool(missing) and not (searching or changed))
         if self.is_new(found, present, changed, searching):
-            shown = found is not None and not searching
-            self._list.show(*(_findings(found, present, changed=changed) if shown else ()))
+            shown = None if searching else found
+            self._list.show(*(_findings(shown, present, changed=changed) if shown else ()))
 
 
 def _findings(found: FoundEffects, present: tuple[str, ...], *, changed: bool) -> list[Markup]:
