@@ -110,15 +110,17 @@ class _Page:
 
     def __init__(self, args: argparse.Namespace, robot: Robot) -> None:
         from lieid_casadi.workbench.arm import arm_meshes
-        from lieid_casadi.workbench.experiment_page import Live, serve_experiment
+        from lieid_casadi.workbench.experiment_page import ExperimentState, serve_experiment
         from lieid_casadi.workbench.server import open_in_browser
 
         self._robot, self._asks, self._told = robot, not args.yes, 0.0
         meshes = arm_meshes(robot, args.robot)
-        live = Live(robot.name, Path(args.output).absolute(), meshes, args.yes, begun=args.yes)
+        state = ExperimentState(
+            robot.name, Path(args.output).absolute(), meshes, args.yes, begun=args.yes
+        )
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        given = (theirs, args.page, live)
+        given = (theirs, args.page, state)
         context.Process(target=serve_experiment, args=given, daemon=True).start()
         theirs.close()
         url = self._pipe.recv()

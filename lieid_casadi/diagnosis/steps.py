@@ -44,7 +44,7 @@ ABSORBED = 1e-6  # part of a column outside the model's span, below which the mo
 class Accepted:
     """An effect that the search adds, with what the held-out parts say of it.
 
-    ``beside_smooth`` tells whether there was a smooth function of its joint when it was found.
+    ``beside_smooth``: whether there was a smooth function of its joint when it was found.
     """
 
     candidate: Candidate

@@ -1,7 +1,7 @@
 """A running experiment as a local page: its rounds, and the next motion on the arm.
 
 The experiment runs in the process of the command, the page in another one. What the command sends
-through a pipe replaces attributes of `Live`; what the user answers is sent back as one word.
+through a pipe replaces attributes of `ExperimentState`; the user's answer is sent back as one word.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PAUSE_NOTE = "before the next motion; Ctrl-C in the terminal interrupts the one 
 
 
 @dataclass
-class Live:
+class ExperimentState:
     """What the page shows beside the rounds, which are in the folder.
 
     ``unattended`` motions are run without a question unless the user pauses; ``motion`` is the next
@@ -54,25 +54,25 @@ class Live:
     ended: str = ""
 
 
-def serve_experiment(pipe: Connection, port: int, live: Live) -> None:
+def serve_experiment(pipe: Connection, port: int, state: ExperimentState) -> None:
     """Serve the page; send its URL or an error first, then the answers of the user."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # stdout is the command's
 
     def received() -> None:
         try:
             while pipe.poll():
-                vars(live).update(pipe.recv())
+                vars(state).update(pipe.recv())
         except (EOFError, OSError):  # the command has ended
             os._exit(0)
 
     def pages(token: str) -> None:
         @ui.page("/", title="lieid experiment")
         def index() -> None:
-            ExperimentView(live, pipe.send)
+            ExperimentView(state, pipe.send)
 
         @app.get("/mesh/{number}.stl")
         def mesh(number: int) -> Response:
-            return mesh_file(live.meshes, number)
+            return mesh_file(state.meshes, number)
 
         @app.on_startup
         def listen() -> None:
@@ -87,8 +87,8 @@ def serve_experiment(pipe: Connection, port: int, live: Live) -> None:
 class ExperimentView:
     """The page of one tab; ``answer`` sends a word to the experiment."""
 
-    def __init__(self, live: Live, answer: Callable[[str], None]) -> None:
-        self._live, self._answer = live, answer
+    def __init__(self, state: ExperimentState, answer: Callable[[str], None]) -> None:
+        self._state, self._answer = state, answer
         self._drawn: float | None = None
         ui.add_css(
             resources.files("lieid_casadi.workbench").joinpath("page.css").read_text("utf-8")
@@ -96,7 +96,7 @@ class ExperimentView:
         ui.colors(primary="#0b4f8a")
         with ui.row().classes("toolbar w-full items-center no-wrap"):
             ui.label("lieid experiment").classes("brand")
-            text(f"{live.robot}, {live.folder}", "muted grow ellipsis")
+            text(f"{state.robot}, {state.folder}", "muted grow ellipsis")
             with ui.column().classes("gap-0 progress"):
                 self._stage = text("", "small muted ellipsis w-full", "progress")
                 self._bar = ui.linear_progress(show_value=False, size="6px")
@@ -119,7 +119,7 @@ class ExperimentView:
                 ui.label("Rounds").classes("panel-title")
                 self._rounds = named(ui.html("", sanitize=False), "rounds").classes("difference")
                 self._picture = ui.image().props('alt="errors over the rounds"').classes("w-full")
-        self._arm.build(live.meshes, "/mesh")
+        self._arm.build(state.meshes, "/mesh")
         ui.timer(REFRESH, self._update)
 
     def _button(self, label: str, test_id: str, word: str) -> ui.button:
@@ -127,28 +127,28 @@ class ExperimentView:
 
     def _toggle(self) -> None:
         """Pause before the next motion, or go on."""
-        self._live.paused = not self._live.paused
-        self._answer("pause" if self._live.paused else "continue")
+        self._state.paused = not self._state.paused
+        self._answer("pause" if self._state.paused else "continue")
 
     def _update(self) -> None:
         """Show what is new."""
-        live = self._live
-        set_text(self._stage, live.stage)
-        self._bar.value = live.fraction
-        self._start.set_visibility(not (live.begun or live.ended))
-        self._pause.set_visibility(live.unattended and live.begun and not live.ended)
-        self._pause.text = "Continue" if live.paused else "Pause"
-        self._close.set_visibility(bool(live.ended))
-        self._end.text = live.ended
-        self._end.set_visibility(bool(live.ended))
-        self._question.set_visibility(live.asks)
-        self._title.text = "Next motion" if live.asks or live.motion is None else "Last motion"
-        self._text.text = "\n".join(live.sentences) or "No motion is planned so far."
-        if live.motion is not None:
-            self._arm.limit(float(live.motion.times[0]), float(live.motion.times[-1]))
-            self._arm.show_motion(live.motion)
-            self._arm.play(live.asks)
-        file = live.folder / STATE
+        state = self._state
+        set_text(self._stage, state.stage)
+        self._bar.value = state.fraction
+        self._start.set_visibility(not (state.begun or state.ended))
+        self._pause.set_visibility(state.unattended and state.begun and not state.ended)
+        self._pause.text = "Continue" if state.paused else "Pause"
+        self._close.set_visibility(bool(state.ended))
+        self._end.text = state.ended
+        self._end.set_visibility(bool(state.ended))
+        self._question.set_visibility(state.asks)
+        self._title.text = "Next motion" if state.asks or state.motion is None else "Last motion"
+        self._text.text = "\n".join(state.sentences) or "No motion is planned so far."
+        if state.motion is not None:
+            self._arm.limit(float(state.motion.times[0]), float(state.motion.times[-1]))
+            self._arm.show_motion(state.motion)
+            self._arm.play(state.asks)
+        file = state.folder / STATE
         changed = file.stat().st_mtime if file.is_file() else None
         if changed != self._drawn:
             self._drawn = changed
@@ -156,9 +156,9 @@ class ExperimentView:
 
     def _draw(self) -> None:
         """Show the rounds of the folder, and colour the arm by the errors of the last one."""
-        live = self._live
-        rounds = ExperimentFolder(live.folder, {}).rounds()
-        result = Experiment(live.robot, rounds, folder=live.folder)
+        state = self._state
+        rounds = ExperimentFolder(state.folder, {}).rounds()
+        result = Experiment(state.robot, rounds, folder=state.folder)
         last = rounds[-1].sentences if rounds else ()
         self._rounds.set_content(html(*last, result.table()))
         diagnosed = tuple(each for each in rounds if each.error)

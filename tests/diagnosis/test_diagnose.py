@@ -192,7 +192,7 @@ def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
 
 
 def test_a_smooth_function_goes_before_many_effects_that_resemble_it_together():
-    """An end stop: three effects of the library imitate it, none of which is worth it alone."""
+    """An end stop: three effects of the library imitate it, none of which helps much."""
     stop = plant.ForeignTorque(1, lambda s: 3.0 * np.maximum(s.q[..., 1] - 0.5, 0.0))
     arm = arm_with().with_effects(stop)
     diagnosis = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2))
