@@ -25,7 +25,7 @@ from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
-from lieid_casadi.simulation.integration import Indices, Input
+from lieid_casadi.simulation.integration import FARTHEST, Indices, Input
 from lieid_casadi.simulation.play import LARGEST, Coordinates, plays_of
 from lieid_casadi.simulation.runs import (
     Run,
@@ -188,7 +188,8 @@ class MotionGain:
             return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
         def logarithms(errors: Array) -> Array:
-            own = [rms(errors[parts == k]) for k in np.unique(parts)]
+            finite = np.nan_to_num(errors, nan=FARTHEST)  # a motion that has left every range
+            own = [rms(finite[parts == k]) for k in np.unique(parts)]
             return np.asarray(np.log(np.maximum(own, LEAST_ERROR)))
 
         every = logarithms(before) - logarithms(after)

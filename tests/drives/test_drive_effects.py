@@ -166,7 +166,7 @@ def test_a_diagnosed_fit_of_method_feasible_is_simulated_and_exported(tmp_path):
     laws = [replace(law, damping=law.damping / 4) for law in LAWS]
     drives = [
         plant.PositionDrive(law.stiffness, law.damping, limit=bound)
-        for law, bound in zip(laws, (np.inf, 2.75), strict=True)
+        for law, bound in zip(laws, (np.inf, 2.2), strict=True)
     ]
     path = plant.FourierTrajectory(TWO_LINK, base_frequency=0.1, harmonics=5, seed=0)
     run = plant.simulate_commands(
