@@ -30,7 +30,7 @@ def fit_text(good, tmp_path_factory):
     ("damage", "words"),
     [
         (lambda text: text[: len(text) // 2], ["truncated"]),
-        (lambda text: text.replace('"schema": 4', '"schema": 99'), ["99", "newer"]),
+        (lambda text: text.replace('"schema": 5', '"schema": 99'), ["99", "newer"]),
         (lambda text: text.replace('"values": [\n  ', '"values": [\n  NaN, '), ["not JSON"]),
         (lambda text: text.replace('"kind": "lieid-fit"', '"kind": "other"'), ["not a fit"]),
         (lambda text: text.replace('"values": [\n  ', '"values": [\n  1.5, '), ["values"]),
