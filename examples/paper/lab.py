@@ -184,9 +184,7 @@ class Lab:
             )
             for k, motion in enumerate(friction_runs(joint, self.speeds, self.centres))
         ]
-        return friction_curve(
-            loaded_fit(fit, payload), runs, joint, processing=LINEAR, load="model"
-        )
+        return friction_curve(loaded_fit(fit, payload), runs, joint, processing=LINEAR)
 
     @cached_property
     def first_stage(self) -> Fit:

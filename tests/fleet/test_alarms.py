@@ -140,7 +140,6 @@ def test_report_export_and_acknowledge_by_command(judged, tmp_path, capsys):
     for words in (
         ["report", "none"],
         ["acknowledge", "none", "A1", "--note", "x"],
-        ["export", path],
     ):
         assert main(["fleet", *words]) == 2
         assert capsys.readouterr().err.count("\n") == 1

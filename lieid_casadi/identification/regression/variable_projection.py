@@ -232,9 +232,10 @@ def forward_differences(
     return np.array(changes).reshape(len(shapes), len(here)).T
 
 
-#: Percentiles of |error| between which saturation is searched: the first one of drives whose law,
-#: and with it the stiffness, is not known, the second one of the others.
-COMMAND_ERRORS = (80.0, 25.0, 99.5)
+#: Percentiles of |error| between which saturation is searched, and the lower one in a fit of drives
+#: whose law, and with it the stiffness, is known.
+COMMAND_ERRORS = (80.0, 99.5)
+KNOWN_STIFFNESS = 25.0
 
 
 def refine_shapes(design: Design, start: Array, links: Array | None, noise: Array) -> Array:
@@ -298,12 +299,14 @@ def _weighted_problem(
     )
 
 
-def command_error_range(segments: Sequence[Processed], joint: int) -> tuple[float, float]:
+def command_error_range(
+    segments: Sequence[Processed], joint: int, *, least: float = COMMAND_ERRORS[0]
+) -> tuple[float, float]:
     """Return the errors of position control between which a joint in motion shows saturation, rad.
 
-    Of an unknown stiffness those of the largest fifth: where torque saturates at smaller errors
-    than most of the recorded ones, the column of the effect is the recorded torque itself, but for
-    a constant, and every model fits.
+    By default those of the largest fifth, for a stiffness that is not known: where torque saturates
+    at smaller errors than most of the recorded ones, the column of the effect is the recorded
+    torque itself, but for a constant, and every model fits.
     """
     sizes = []
     for s in segments:
@@ -311,9 +314,7 @@ def command_error_range(segments: Sequence[Processed], joint: int) -> tuple[floa
             moving = np.abs(s.dq[:, joint]) > s.dead_zone[joint]
             sizes.append(np.abs(s.command_error[moving, joint]))
     every = np.concatenate(sizes) if sizes else np.zeros(0)
-    unknown, known, most = COMMAND_ERRORS
-    least = unknown if segments[0].recording.drives is None else known
-    low, high = np.percentile(every, (least, most)) if len(every) else (0.0, 0.0)
+    low, high = np.percentile(every, (least, COMMAND_ERRORS[1])) if len(every) else (0.0, 0.0)
     return float(low), float(high)
 
 
@@ -322,9 +323,13 @@ def resolved_range(design: Design) -> ShapeRange:
     whole = ShapeRange.of(design.model.shapes)
     lower, upper = whole.lower.copy(), whole.upper.copy()
     shapes = [(p.joint, shape) for p in design.model.placements for shape in p.effect.shapes]
+    known = design.segments[0].recording.drives is not None
+    least = KNOWN_STIFFNESS if known else COMMAND_ERRORS[0]
     for k, (joint, shape) in enumerate(shapes):
         if shape.resolved_by == "command_error":
-            low, high = np.clip(command_error_range(design.segments, joint), lower[k], upper[k])
+            low, high = np.clip(
+                command_error_range(design.segments, joint, least=least), lower[k], upper[k]
+            )
             if low < high:
                 lower[k], upper[k] = low, high
     return ShapeRange(lower, upper)
