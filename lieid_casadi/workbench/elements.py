@@ -66,6 +66,7 @@ function draw(id, options, whole) {
     if (!found.at(-1).isIntersecting) return;
     const { options, whole } = place.later;
     chart.setOption(options, whole);
+    if (whole && options.brush) startBrush(chart);
     place.later = null;
     place.seen.disconnect();
   }, { rootMargin: '100px' });
@@ -80,9 +81,7 @@ function emitClicks(id, event) {
     getElement(id).$emit(event, x);
   });
 }
-function startBrush(id) {
-  const chart = getElement(id)?.chart;
-  if (!chart?.getOption()?.brush) { setTimeout(() => startBrush(id), 50); return; }
+function startBrush(chart) {
   const brushOption = { brushType: 'lineX', brushMode: 'single' };
   chart.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption });
 }

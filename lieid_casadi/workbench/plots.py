@@ -147,8 +147,6 @@ class TorquePlot(View):
         self._chart.show(
             _torque_options(span, lines, other, noise, unit, excluded), whole=new_recording
         )
-        if new_recording:
-            self._chart.call("startBrush")
 
     def move_cursor(self, time: float) -> None:
         """Show the time of the arm's pose."""
