@@ -20,7 +20,7 @@ from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round, search
 from lieid_casadi.diagnosis.smooth_functions import followed_signals, formula_of
-from lieid_casadi.diagnosis.step import Difference, Step
+from lieid_casadi.diagnosis.step import Difference, MotionGain, Step
 from lieid_casadi.diagnosis.steps import (
     Accepted,
     FinalModel,
@@ -45,7 +45,6 @@ from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import FilteredColumns
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
-from lieid_casadi.simulation import MotionGain
 
 Report = Callable[[str, float], None]
 CONTAINED = 0.1  # part of an effect's torque that a smooth function can take over

@@ -17,10 +17,10 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.folds import Folds, places
 from lieid_casadi.diagnosis.rows import Indices, Rows
+from lieid_casadi.diagnosis.step import MotionGain
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.segment_columns import effects_along
-from lieid_casadi.simulation import MotionGain
 from lieid_casadi.simulation.runs import (
     Run,
     end_errors,

@@ -19,13 +19,19 @@ from lieid_casadi.diagnosis.findings import (
     unexplained_sentence,
 )
 from lieid_casadi.diagnosis.plots import draw_errors
-from lieid_casadi.diagnosis.step import LEAST_STRETCHES, Difference, Step, Unexplained, or_null
+from lieid_casadi.diagnosis.step import (
+    LEAST_STRETCHES,
+    Difference,
+    MotionGain,
+    Step,
+    Unexplained,
+    or_null,
+)
 from lieid_casadi.diagnosis.transients import Event
 from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import numbers_or_none
-from lieid_casadi.simulation import MotionGain
 from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:

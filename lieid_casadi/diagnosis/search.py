@@ -146,12 +146,14 @@ def _chosen(
     first = {paths.columns.candidate(g).joint for g in other if rules.smooth[g]}
     if set(other) == set(whole) or not first:
         return folds, whole, parts
+    others = outside(first)
     before, after = (
-        held_out_squares(paths.span, paths.columns, folds, p) for p in (parts, outside(first))
+        held_out_squares(paths.span, paths.columns, folds, each) for each in (parts, others)
     )
-    better = [j for j in sorted(first) if _lowers(before[:, j], after[:, j], folds, j, options)]
+    better = {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
     if better:
-        whole, parts = forward(paths, -1, rules, smooth_first=better), outside(better)
+        whole = forward(paths, -1, rules, smooth_first=better)
+        parts = others if better == first else outside(better)
     return folds, whole, parts
 
 
@@ -159,9 +161,10 @@ def _lowers(
     before: Array, after: Array, folds: Folds, joint: int, options: DiagnosisOptions
 ) -> bool:
     """Return whether the squared errors (K,) of held-out parts fall by more than their scatter."""
-    if not after.all() or 1.0 - np.sqrt(after.sum() / before.sum()) < options.worth:
+    if not after.any() or 1.0 - np.sqrt(after.sum() / before.sum()) < options.worth:
         return False
-    return folds.deviations(0.5 * np.log(before / after), joint) > options.gain_deviations
+    ratio = np.divide(before, after, out=np.ones(len(after)), where=after > 0.0)  # 1 without rows
+    return folds.deviations(0.5 * np.log(ratio), joint) > options.gain_deviations
 
 
 def _promising(paths: Paths, whole: Sequence[int], rules: Rules) -> NDArray[np.intp]:

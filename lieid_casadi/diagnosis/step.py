@@ -9,7 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
-from lieid_casadi.simulation import MotionGain
+from lieid_casadi.simulation.integration import FARTHEST, LEAST_ERROR, Indices
 
 Status = Literal["named", "one_of", "shape"]
 
@@ -76,6 +76,51 @@ class Evidence:
             "deviations": number_or_none(self.deviations),
             "selected_with_rivals": self.selected_with_rivals,
             "independent_stretches": self.independent,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class MotionGain:
+    """How much better a second fit predicts the motion of the same windows of recordings.
+
+    ``before`` and ``after`` (n,) are the RMS errors of the position at the windows' ends, rad.
+    ``fall`` is the mean of ln(before/after) over parts of the time, of one joint or over all of
+    them, ``std`` its standard error over the parts; ``window`` is the windows' length, s.
+    """
+
+    before: Array
+    after: Array
+    fall: float
+    std: float
+    window: float
+
+    @classmethod
+    def of(
+        cls, before: Array, after: Array, window: float, parts: Indices, joint: int | None = None
+    ) -> MotionGain:
+        """Compare errors (W, n) of two fits at the ends of windows, rad, in parts (W,) of time."""
+
+        def rms(errors: Array) -> Array:
+            return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
+
+        def logarithms(errors: Array) -> Array:
+            finite = np.nan_to_num(errors, nan=FARTHEST)  # a motion that has left every range
+            own = [rms(finite[parts == k]) for k in np.unique(parts)]
+            return np.asarray(np.log(np.maximum(own, LEAST_ERROR)))
+
+        every = logarithms(before) - logarithms(after)
+        falls = np.mean(every, axis=1) if joint is None else every[:, joint]
+        std = float(falls.std(ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else np.inf
+        return cls(rms(before), rms(after), float(falls.mean()), std, window)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers for JSON; angles in rad."""
+        return {
+            "window": self.window,
+            "before": numbers_or_none(self.before),
+            "after": numbers_or_none(self.after),
+            "fall": number_or_none(self.fall),
+            "std": number_or_none(self.std),
         }
 
 

@@ -27,7 +27,6 @@ from lieid_casadi.errors import LateFrictionWarning
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.fit_warnings import WEAK
 from lieid_casadi.identification.regression.cross_validation import (
-    BLOCK_OVER_CUTOFF,
     Fold,
     cross_validated_rms,
     fold_factors,
@@ -369,12 +368,7 @@ class FinalModel:
             of_test, test_counts = _products(
                 Design(fit.compiled, tests).rows(fit.shapes, fit.parameters)
             )
-        time = segments[0].filtered_time
-        step = float(time[1] - time[0]) if len(time) > 1 else 1.0
-        block = max(int(BLOCK_OVER_CUTOFF / segments[0].cutoff / step), 1)
-        folds = fold_factors(
-            rows, fit.noise, fit.values, block=block, priors=lambda f: with_priors(f, design)
-        )
+        folds = fold_factors(design, rows, fit.noise, fit.values)
         return cls(fit, train, known.T @ known, counts, of_test, test_counts, folds)
 
     def columns_of(self, placements: Sequence[Placement]) -> Indices:

@@ -23,19 +23,15 @@ from lieid_casadi.identification.recording_checks import (
     check_recordings,
 )
 from lieid_casadi.identification.regression.cross_validation import (
-    BLOCK_OVER_CUTOFF,
     Estimate,
-    Fold,
     cross_validated_rms,
     fold_factors,
 )
 from lieid_casadi.identification.regression.design_matrix import (
     Design,
     FilteredColumns,
-    with_priors,
 )
 from lieid_casadi.identification.regression.fixed_point import (
-    FitState,
     Progress,
     fixed_point,
 )
@@ -191,7 +187,8 @@ def identify_segments(
             "no joint moves in the recordings: at rest dry friction is undetermined, and with it "
             "all other torques; expected motion"
         )
-    least, folds = state, _folds(design, state)
+    least = state
+    folds = fold_factors(design, state.rows, state.weighting.noise, state.solution.values)
     unweighted = stacked(state.rows)
     found += fit_warnings.of_regression(model, segments, state, unweighted, settled=settled)
     rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
@@ -265,19 +262,6 @@ def _check_method(method: str, regularization: float | None) -> None:
             f"regularization is {regularization} with method {method!r}; expected a number above 0 "
             "with method='feasible'"
         )
-
-
-def _folds(design: Design, state: FitState) -> tuple[Fold, ...]:
-    first = design.segments[0]
-    step = first.filtered_time[1] - first.filtered_time[0] if len(first.filtered_time) > 1 else 1.0
-    block = max(int(BLOCK_OVER_CUTOFF / first.cutoff / step), 1)
-    return fold_factors(
-        state.rows,
-        state.weighting.noise,
-        state.solution.values,
-        block=block,
-        priors=lambda factor: with_priors(factor, design),
-    )
 
 
 def _provenance(recordings: Sequence[Recording]) -> Provenance:

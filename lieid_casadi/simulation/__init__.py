@@ -2,6 +2,6 @@
 
 from lieid_casadi.simulation.integration import simulate_batch
 from lieid_casadi.simulation.polish import polish
-from lieid_casadi.simulation.simulate import MotionGain, Simulation, motion_gain, simulate
+from lieid_casadi.simulation.simulate import Simulation, simulate
 
-__all__ = ["MotionGain", "Simulation", "motion_gain", "polish", "simulate", "simulate_batch"]
+__all__ = ["Simulation", "polish", "simulate", "simulate_batch"]

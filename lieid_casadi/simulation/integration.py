@@ -29,6 +29,7 @@ Indices = NDArray[np.intp]
 Signals = Callable[[int, Indices], tuple[Array, Array, Array]]
 STEP = 1e-3  # s, longest step
 FARTHEST = 1e3  # rad, at which a simulation has left every range
+LEAST_ERROR = 1e-4  # rad, below which an error in position does not count
 STEPS_KEPT = 8  # step functions of models
 FEWEST = 64  # motions per thread
 

@@ -19,6 +19,7 @@ from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import center_temperature, training_rms
 from lieid_casadi.recording import Recording, process
 from lieid_casadi.recording.recording import listed
+from lieid_casadi.simulation.integration import LEAST_ERROR
 from lieid_casadi.simulation.runs import (
     Run,
     input_of,
@@ -33,7 +34,6 @@ MOST_WINDOWS = 60
 COMPARED = 0.05  # s between the instants at which positions are compared
 DIFFERENCE = 0.02  # of a coefficient's size, for derivatives
 SPREAD = 0.5  # prior standard deviation of a coefficient around the fit's, relative to its size
-LEAST_ERROR = 1e-4  # rad, below which an error in position does not count
 
 
 @dataclass(frozen=True, eq=False)

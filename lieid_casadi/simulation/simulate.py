@@ -25,7 +25,7 @@ from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
-from lieid_casadi.simulation.integration import FARTHEST, Indices, Input
+from lieid_casadi.simulation.integration import Input
 from lieid_casadi.simulation.play import LARGEST, Coordinates, plays_of
 from lieid_casadi.simulation.runs import (
     Run,
@@ -157,81 +157,6 @@ class Simulation:
     def __repr__(self) -> str:
         degrees = ", ".join(f"{x:.3g}" for x in np.degrees(self.drift.rms))
         return f"<Simulation over {self.window:g} s windows: RMS drift {degrees} deg>"
-
-
-LEAST_ERROR = 1e-4  # rad, below which an error in position does not count
-PARTS = 10  # of the time, over which a gain is averaged
-
-
-@dataclass(frozen=True, eq=False)
-class MotionGain:
-    """How much better a second fit predicts the motion of the same windows of recordings.
-
-    ``before`` and ``after`` (n,) are the RMS errors of the position at the windows' ends, rad.
-    ``fall`` is the mean of ln(before/after) over parts of the time, of one joint or over all of
-    them, ``std`` its standard error over the parts; ``window`` is the windows' length, s.
-    """
-
-    before: Array
-    after: Array
-    fall: float
-    std: float
-    window: float
-
-    @classmethod
-    def of(
-        cls, before: Array, after: Array, window: float, parts: Indices, joint: int | None = None
-    ) -> MotionGain:
-        """Compare errors (W, n) of two fits at the ends of windows, rad, in parts (W,) of time."""
-
-        def rms(errors: Array) -> Array:
-            return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
-
-        def logarithms(errors: Array) -> Array:
-            finite = np.nan_to_num(errors, nan=FARTHEST)  # a motion that has left every range
-            own = [rms(finite[parts == k]) for k in np.unique(parts)]
-            return np.asarray(np.log(np.maximum(own, LEAST_ERROR)))
-
-        every = logarithms(before) - logarithms(after)
-        falls = np.mean(every, axis=1) if joint is None else every[:, joint]
-        std = float(falls.std(ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else np.inf
-        return cls(rms(before), rms(after), float(falls.mean()), std, window)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers for JSON; angles in rad."""
-        return {
-            "window": self.window,
-            "before": numbers_or_none(self.before),
-            "after": numbers_or_none(self.after),
-            "fall": number_or_none(self.fall),
-            "std": number_or_none(self.std),
-        }
-
-
-def motion_gain(
-    before: Fit,
-    after: Fit,
-    recordings: Recording | Sequence[Recording],
-    *,
-    window: float = 1.0,
-) -> MotionGain:
-    """Compare the motion that two fits predict within the same windows (s) of recordings.
-
-    A `LieidError` states why one of them cannot be simulated.
-    """
-    given = listed(recordings)
-    under = input_of(before, given, None)
-    runs = [run for r in given for run in runs_of(before, r, window, under) if len(run.starts)]
-    if not runs:
-        raise RecordingError(
-            f"no segment of the recordings has the length of a window of {window:g} s"
-        )
-    errors = []
-    for fit in (before, after):
-        require_positive_mass_matrix(fit, runs)
-        errors.append(np.concatenate([end_errors([fit], run, run.starts) for run in runs]))
-    count = len(errors[0])
-    return MotionGain.of(errors[0], errors[1], window, PARTS * np.arange(count) // count)
 
 
 INPUTS = {"command": "commanded positions", "torque": "torques"}

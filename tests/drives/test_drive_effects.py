@@ -15,6 +15,7 @@ from lieid_casadi.diagnosis.folds import folds_of, places
 from lieid_casadi.diagnosis.motion import UnseenMotion
 from lieid_casadi.diagnosis.result import motion_table
 from lieid_casadi.diagnosis.rows import Rows
+from lieid_casadi.diagnosis.step import MotionGain
 from lieid_casadi.effects.backlash import place_in_play
 from lieid_casadi.effects.command_delay import held_and_late
 from lieid_casadi.effects.registry import make
@@ -24,7 +25,6 @@ from lieid_casadi.identification.regression.variable_projection import command_e
 from lieid_casadi.recording import process
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.robot.yaml_file import write_yaml
-from lieid_casadi.simulation.simulate import MotionGain
 
 ROBOT = TWO_LINK.with_drives(LAWS)
 BASE = "coulomb,viscous,offset"
@@ -281,6 +281,20 @@ def test_rotor_inertia_is_a_default_effect_where_torque_is_that_of_a_law(runs):
     measured_torque = replace(with_torque(plain), tau=np.ones_like(plain.q))
     assert "armature" not in default_effects(ROBOT, [measured_torque]).names
     assert "armature" not in default_effects(TWO_LINK, [with_torque(plain)]).names
+
+
+def test_a_gain_that_shows_at_times_counts_against_a_steady_one():
+    """Saturation acts in some windows: their mean square alone would be within its scatter."""
+    random = np.random.default_rng(0)
+    after, parts = random.normal(size=(40, 1)), np.arange(40) // 4
+    before = (
+        after * np.repeat(random.permutation([20.0, 9.0, 4.0, 2.0, 1.3] + 5 * [1.02]), 4)[:, None]
+    )
+    gain = MotionGain.of(before, after, 1.0, parts)
+    assert gain.fall > 2.0 * gain.std
+    assert gain.fall == pytest.approx(np.log([20.0, 9.0, 4.0, 2.0, 1.3] + 5 * [1.02]).mean())
+    squares = np.mean(before**2 - after**2, axis=1)
+    assert squares.mean() < 2.0 * squares.std(ddof=1) / np.sqrt(40)
 
 
 def test_an_effect_without_which_the_arm_moves_as_well_is_not_added(runs, monkeypatch):

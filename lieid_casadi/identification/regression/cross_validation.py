@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.identification.regression.design_matrix import Design, with_priors
 from lieid_casadi.identification.regression.least_squares import (
     RANK_TOLERANCE,
     Factor,
@@ -37,24 +38,21 @@ class Fold:
         return np.array([factor.misfit(values) for factor in self.held])
 
 
-def fold_factors(
-    rows: Rows,
-    noise: Array,
-    values: Array,
-    *,
-    block: int,
-    priors: Callable[[Factor], Factor],
-) -> tuple[Fold, ...]:
-    """Return the folds; blocks of ``block`` consecutive instants are assigned to them in turn.
+def fold_factors(design: Design, rows: Rows, noise: Array, values: Array) -> tuple[Fold, ...]:
+    """Return the folds of a design's rows; blocks of consecutive instants go to them in turn.
 
-    ``priors`` adds to the rows of a fit what is known before any data.
+    What is known before any data belongs to each of them.
     """
+    first = design.segments[0]
+    time = first.filtered_time
+    step = float(time[1] - time[0]) if len(time) > 1 else 1.0
+    block = max(int(BLOCK_OVER_CUTOFF / first.cutoff / step), 1)
     fold = rows.blocks(block) % FOLDS
     parts = [rows.factors_at(fold == held) for held in range(FOLDS)]
     folds = []
     for held, own in enumerate(parts):
         others = [factor for k, part in enumerate(parts) if k != held for factor in part]
-        rest = priors(combine(others, np.tile(1.0 / noise, FOLDS - 1)))
+        rest = with_priors(combine(others, np.tile(1.0 / noise, FOLDS - 1)), design)
         folds.append(Fold(with_whole_fit(rest, combine(own, 1.0 / noise), values), tuple(own)))
     return tuple(folds)
 
