@@ -74,18 +74,23 @@ def run(args: argparse.Namespace) -> output.Outcome:
     else:  # a bar would hide the question
         shown_by = output.progress("experiment") if args.yes else nullcontext(_silent)
     asked = None if args.yes else _confirmed
-    with shown_by as report:
-        result = experiment(
-            inputs.model_for(args, robot, given) if stated else source, given,
-            record=command, folder=args.output, most=args.most,
-            confirm=asked if page is None else page.confirm, load=load,
-            despite_check=args.despite_check, start_pose=args.start_pose or None,
-            acceleration=args.acceleration or None, margin=args.margin,
-            limits=inputs.limits_of(args, robot), longest=args.longest, probe=args.probe,
-            rate=args.rate, seed=args.seed, progress=report,
-        )  # fmt: skip
+    try:
+        with shown_by as report:
+            result = experiment(
+                inputs.model_for(args, robot, given) if stated else source, given,
+                record=command, folder=args.output, most=args.most,
+                confirm=asked if page is None else page.confirm, load=load,
+                despite_check=args.despite_check, start_pose=args.start_pose or None,
+                acceleration=args.acceleration or None, margin=args.margin,
+                limits=inputs.limits_of(args, robot), longest=args.longest, probe=args.probe,
+                rate=args.rate, seed=args.seed, progress=report,
+            )  # fmt: skip
+    except LieidError as error:
+        if page is not None:
+            page.end(f"The experiment failed: {error}")
+        raise
     if page is not None:
-        page.end(result)
+        page.end(*result.sentences)
     if result.stopped == "record_failed":
         raise NoSolution(
             f"{result.reason} The same command resumes the experiment in {args.output}"
@@ -152,9 +157,9 @@ class _Page:
         self._send(asks=False, stage=f"record {motion.number}", fraction=0.0)
         return answer != "end"
 
-    def end(self, result: Experiment) -> None:
+    def end(self, *sentences: str) -> None:
         """Show why it ended until the user closes the page."""
-        self._send(ended="\n".join(result.sentences), stage="", fraction=1.0)
+        self._send(ended="\n".join(sentences), stage="", fraction=1.0)
         if self._asks:
             self._answer("close")
 

@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -75,7 +76,7 @@ class Server:
             self._start(*program, *words, *port, folder=folder)
             if self.url:
                 return
-            errors = self.process.communicate()[1]
+            _, errors = self.ended()
             if "is in use" not in errors:
                 break
         pytest.fail(f"no URL: {errors}")
@@ -83,21 +84,25 @@ class Server:
     def _start(self, *words: str, folder: Path) -> None:
         """Start the process, and read its URL; it is empty if the process ended."""
         environment = os.environ | {"LIEID_WORKBENCH_DIR": str(folder)}
+        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - a pipe would fill
         self.process = subprocess.Popen(
             [sys.executable, *words],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=environment,
-            text=True,
-        )
+            stdout=subprocess.PIPE, stderr=self._errors, env=environment, text=True,
+        )  # fmt: skip
         assert self.process.stdout is not None
         self.url = self.process.stdout.readline().strip()
 
     def stop(self, number: int = signal.SIGTERM) -> tuple[int, str]:
         """End it; return its exit status, and what it wrote to stderr."""
         self.process.send_signal(number)
-        errors = self.process.communicate(timeout=PATIENCE)[1]
-        return self.process.returncode, errors
+        return self.ended()
+
+    def ended(self) -> tuple[int, str]:
+        """Wait for its end; return its exit status, and what it wrote to stderr."""
+        self.process.communicate(timeout=PATIENCE)
+        with self._errors as file:
+            file.seek(0)
+            return self.process.returncode, file.read()
 
 
 def free_port() -> int:
@@ -204,8 +209,12 @@ class Page:
             except WebDriverException as error:
                 last = error.msg
             time.sleep(0.05)
-        shown = [self.text(name) for name in ("error", "open-error")]
-        return pytest.fail(f"{what or 'condition'} not met in {timeout:.0f} s; {last}; {shown}")
+        shown = "document.body ? document.body.innerText : ''"
+        text = " | ".join(str(self.driver.execute_script(f"return {shown}")).split("\n"))
+        messages = [entry["message"] for entry in self.driver.get_log("browser")]
+        return pytest.fail(
+            f"{what or 'condition'} not met in {timeout:.0f} s; {last}; {messages}; page: {text}"
+        )
 
     def downloaded(self, name: str) -> Path:
         """Return a saved file once it is complete."""
