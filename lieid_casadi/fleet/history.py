@@ -27,10 +27,11 @@ from lieid_casadi.messages import reason_of
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
-SCHEMA = 8
+SCHEMA = 9
 MEMORY = "256MB"  # of DuckDB, which otherwise keeps most of a large history in memory
+#: Without keys, whose indices DuckDB keeps in memory: those of some million runs exceed `MEMORY`.
 TABLES = {
-    "runs": "run_id VARCHAR PRIMARY KEY, serial VARCHAR, recording VARCHAR, "
+    "runs": "run_id VARCHAR, serial VARCHAR, recording VARCHAR, "
     "recording_sha256 VARCHAR, fit_sha256 VARCHAR, version VARCHAR, started TIMESTAMPTZ, "
     "seconds DOUBLE, status VARCHAR, reason VARCHAR, date DATE, stamp VARCHAR, condition VARCHAR, "
     "payload VARCHAR, method INTEGER",
@@ -42,7 +43,7 @@ TABLES = {
     "noise_floor DOUBLE, expected DOUBLE, torque_rms DOUBLE, temperature DOUBLE, "
     "q_low DOUBLE, q_high DOUBLE, q_mean DOUBLE, q_std DOUBLE",
     "repeats": "serial VARCHAR, recording VARCHAR, stamp VARCHAR, run_id VARCHAR",
-    "arms": "serial VARCHAR PRIMARY KEY, robot VARCHAR, joints INTEGER, fit_sha256 VARCHAR, "
+    "arms": "serial VARCHAR, robot VARCHAR, joints INTEGER, fit_sha256 VARCHAR, "
     "limits VARCHAR, since DATE, fit_from DATE, retired DATE, fit VARCHAR",
     "maintenance": "serial VARCHAR, first DATE, last DATE",
     "nights": "serial VARCHAR, date DATE, status VARCHAR",
@@ -350,8 +351,7 @@ def _prepare(connection: DuckDBPyConnection, path: str) -> None:
     connection.execute("BEGIN")
     for name, columns in TABLES.items():
         if (name,) in tables:
-            connection.execute(f"CREATE TEMP TABLE old_{name} AS FROM {name}")
-            connection.execute(f"DROP TABLE {name}")
+            connection.execute(f"ALTER TABLE {name} RENAME TO old_{name}")
         connection.execute(f"CREATE TABLE {name} ({columns})")
         if (name,) in tables:
             own = {row[0] for row in connection.execute(f"DESCRIBE {name}").fetchall()}

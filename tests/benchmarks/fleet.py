@@ -30,7 +30,7 @@ from lieid_casadi.fleet.arm_history import read_arms  # noqa: E402
 from lieid_casadi.fleet.changes import NightSeries  # noqa: E402
 from lieid_casadi.fleet.cluster import RunOptions  # noqa: E402
 from lieid_casadi.fleet.config import read_fleet  # noqa: E402
-from lieid_casadi.fleet.history import History  # noqa: E402
+from lieid_casadi.fleet.history import ArmEntry, History  # noqa: E402
 from lieid_casadi.fleet.run import run_fleet  # noqa: E402
 
 #: Arms and nights unless stated otherwise; ``null`` uses the history of ``changes``.
@@ -228,22 +228,29 @@ def measured_run(fleet, folder: Path, workers: int) -> tuple[float, float, float
     return 1.0 / elapsed, worker, client, result.seconds
 
 
-#: Rows of a fleet of arms with six joints and three coefficients each, in which nothing changes.
+#: A night of arms with six joints and three coefficients each, in which nothing changes.
 DRAWN = """
-CREATE TEMP TABLE drawn AS SELECT format('A{:05d}', a) AS serial,
-    DATE '2026-01-01' + n::INTEGER AS date,
-    a * 10000 + n AS run FROM range($arms) x(a), range($nights) y(n);
-INSERT INTO arms SELECT DISTINCT serial, 'robot', 6, 'f', '{}', NULL, NULL, NULL, '' FROM drawn;
-INSERT INTO runs SELECT run, serial, 'r' || run, '', 'f', '', date::TIMESTAMP, 1, 'done', '', date,
-    '', '', '', 2 FROM drawn;
+CREATE OR REPLACE TEMP TABLE drawn AS SELECT serial, DATE '2026-01-01' + $night::INTEGER AS date,
+    md5(serial || $night) AS run FROM arms;
+INSERT INTO runs SELECT run, serial, format('nights/{}/{}.parquet', serial, date), md5(run), 'f',
+    '0.1.0', date::TIMESTAMP, 1, 'done', '', date, '200000:' || date, md5('f'), '', 3 FROM drawn;
 INSERT INTO parameters SELECT run, serial, date, name, j, 2 + 0.01 * sqrt(-2 * ln(1 - random()))
     * cos(2 * pi() * random()), 0.01, 'N·m' FROM drawn, range(1, 7) x(j),
     (VALUES ('coulomb.f_c'), ('viscous.f_v'), ('offset.f_b')) y(name);
 INSERT INTO errors SELECT run, serial, date, j, 0.1 * (0.95 + 0.1 * random()), 0.08, 0.1, 3, 25,
     -1, 1, 0, 0.5 FROM drawn, range(1, 7) x(j);
-INSERT INTO judged SELECT max(date) - 1, max(date) - 1 FROM drawn;
-DROP TABLE drawn;
 """
+
+
+def fill(history: History, arms: int, nights: int) -> None:
+    """Write drawn rows in the order in which a fleet writes them: night by night."""
+    serials = [f"A{k:05d}" for k in range(arms)]
+    history.set_arms([ArmEntry(serial, "robot", 6, "f") for serial in serials])
+    for night in range(nights):
+        for statement in DRAWN.split(";\n")[:-1]:
+            values = {"night": night} if "$night" in statement else None
+            history.connection.execute(statement, values)
+    history.connection.execute("INSERT INTO judged SELECT max(date) - 1, max(date) - 1 FROM runs")
 
 
 def cost(args: argparse.Namespace) -> None:
@@ -271,9 +278,9 @@ def cost(args: argparse.Namespace) -> None:
         for file in args.folder.glob(f"{path.stem}*"):
             file.unlink()
         with History(path) as history:
-            for statement in DRAWN.split(";\n")[:-1]:
-                values = {"arms": arms, "nights": nights} if "$arms" in statement else None
-                history.connection.execute(statement, values)
+            start = time.monotonic()
+            fill(history, arms, nights)
+            say(f"filled in {time.monotonic() - start:.0f} s")
         words = ["cost", "--folder", str(path), "--arms", str(arms), "--nights", str(nights)]
         subprocess.run([sys.executable, __file__, *words], check=True)
 

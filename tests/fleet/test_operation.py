@@ -14,6 +14,7 @@ from fleet.synthetic_history import FIRST, drawn_result, write_history
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import FleetError
 from lieid_casadi.fleet import cluster
+from lieid_casadi.fleet import history as history_file
 from lieid_casadi.fleet.alarms import Alarm, alarms_to_report, judge_new_nights, read_alarms
 from lieid_casadi.fleet.arm_history import read_arms
 from lieid_casadi.fleet.history import History
@@ -190,6 +191,23 @@ def test_a_history_may_be_read_and_copied_while_a_run_has_it_open(tmp_path, caps
         assert copy.rows("SELECT count(*) FROM runs") == [(10,)]
         assert copy.rows("SELECT count(*) FROM calls") == [(1,)]
     assert main(["fleet", "backup", str(tmp_path / "none"), str(tmp_path / "x")]) == 2
+
+
+def test_the_memory_of_a_large_history_is_bounded(tmp_path, monkeypatch):
+    monkeypatch.setattr(history_file, "MEMORY", "16MB")  # 256 MB of 20 times the runs
+    runs = (
+        "SELECT md5(i::VARCHAR), 'A' || i % 1000, DATE '2025-01-01', 'done' FROM range(?, ?) x(i)"
+    )
+    with History(tmp_path / "h.duckdb") as history:
+        for k in range(4):
+            history.connection.execute(
+                f"INSERT INTO runs (run_id, serial, date, status) {runs}",
+                [40_000 * k, 40_000 * (k + 1)],
+            )
+    write_history(tmp_path / "h.duckdb", 1, ["A1", "A2"])
+    write_history(tmp_path / "h.duckdb", 2, ["A1", "A2"])
+    with History(tmp_path / "h.duckdb") as history:
+        assert history.rows("SELECT count(DISTINCT run_id) FROM runs") == [(160_004,)]
 
 
 def test_results_are_computed_again_for_another_method_and_only_if_asked(call, monkeypatch):
