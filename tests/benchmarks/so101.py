@@ -10,9 +10,9 @@ time, and the lines of user code.
     python tests/benchmarks/so101.py [--case backlash] [--seconds 30] [--rate 50] [--step 0.002]
 
 Cases: ``hold``, commands that are late by their hold alone; ``delay``, by 40 ms more;
-``saturation``, torques limited to 80 % of what the recording without a limit reaches; ``backlash``,
-0.8° in every joint and the delay. ``--diagnose``: also what `diagnose` makes of the default model.
-``--step``: of both simulations. MuJoCo's integration adds half a step × damping to the inertia, 3 %
+``saturation`` and ``half``, torques limited to 80 and 50 % of what the recording without a limit
+reaches; ``backlash``, 0.8° in every joint and the delay. ``--diagnose``: also what `diagnose` makes
+of the default model. ``--seed``: of the arm and its motions. ``--step``: of both simulations. MuJoCo's integration adds half a step × damping to the inertia, 3 %
 of a joint's at 2 ms; it is in what was recorded, and the exported model makes up for it.
 """
 
@@ -41,9 +41,11 @@ CASES = {
     "hold": (0.0, 0.0, np.inf),
     "delay": (0.0, 0.04, np.inf),
     "saturation": (0.0, 0.0, 0.8),
+    "half": (0.0, 0.0, 0.5),
     "backlash": (np.radians(0.8), 0.04, np.inf),
 }
 PLAY, DELAY, LIMIT = CASES["backlash"]
+SEED = 0  # of the arm, and of its motions
 COUNTS = 4096
 EFFECTS = "coulomb,viscous,offset,armature,command_delay"  # the default
 
@@ -60,12 +62,12 @@ def linear(damping: float) -> np.ndarray:
     return np.array([damping, 0.0, 0.0])
 
 
-def altered_model(seed: int = 0) -> mujoco.MjModel:
+def altered_model() -> mujoco.MjModel:
     """Return the arm that is measured: its motor positions are qpos of the joints with actuators.
 
     Backlash is a second joint of each link, within a range of ±play/2.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(SEED)
     xml = nominal_xml()
 
     def with_play(match: re.Match[str]) -> str:
@@ -112,7 +114,7 @@ def saturated(model: mujoco.MjModel, seconds: float) -> mujoco.MjModel:
 
 def commands(seed: int, seconds: float) -> np.ndarray:
     """Return commands (K, n) at the command rate: sums of harmonics within the limits."""
-    random, t = np.random.default_rng(seed), np.arange(round(seconds * RATE)) / RATE
+    random, t = np.random.default_rng(10 * SEED + seed), np.arange(round(seconds * RATE)) / RATE
     lower, upper = ROBOT.limit("position_lower"), ROBOT.limit("position_upper")
     path = np.zeros((len(t), N))
     for k in range(1, 13):
@@ -168,13 +170,13 @@ def recorded(seed: int, seconds: float) -> tuple[lieid.Recording, np.ndarray]:
 def tracking(
     model: mujoco.MjModel, test: lieid.Recording, dq: np.ndarray, delay: float | np.ndarray
 ) -> np.ndarray:
-    """Return the RMS difference from the altered arm at the ends of 1 s windows, rad (n,)."""
+    """Return the differences from the altered arm at the ends of 1 s windows, rad (W, n)."""
     arm, length = Arm(model, delay), round(RATE)
     ends = []
     for start in range(length, len(test) - length, length):
         arm.set(test.q[start], dq[start])
         ends.append(arm.run(test.command, start, length)[-1] - test.q[start + length])
-    return np.sqrt(np.mean(np.array(ends) ** 2, axis=0))
+    return np.array(ends)
 
 
 def with_lieid(train: lieid.Recording, *, diagnosed: bool) -> tuple[mujoco.MjModel, np.ndarray]:
@@ -250,17 +252,18 @@ def lines(function: object) -> int:
 
 
 def main() -> None:
-    global RATE, STEP, PLAY, DELAY, LIMIT, EFFECTS
+    global RATE, STEP, PLAY, DELAY, LIMIT, EFFECTS, SEED
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--case", choices=CASES, default="backlash")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--rate", type=float, default=RATE, help="Hz")
     parser.add_argument("--step", type=float, default=STEP, help="s")
     parser.add_argument("--effects", default=EFFECTS)
+    parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--diagnose", action="store_true")
     parser.add_argument("--no-sysid", action="store_true")
     args = parser.parse_args()
-    RATE, STEP, EFFECTS = args.rate, args.step, args.effects
+    RATE, STEP, EFFECTS, SEED = args.rate, args.step, args.effects, args.seed
     PLAY, DELAY, LIMIT = CASES[args.case]
     train, dq = recorded(1, args.seconds)
     test, test_dq = recorded(2, args.seconds)
@@ -283,13 +286,15 @@ def main() -> None:
         rows.append(("mujoco.sysid", error, spent, lines(with_sysid)))
     base = np.sqrt(np.mean(rows[0][1] ** 2))
     joints = " ".join(f"joint{j + 1}" for j in range(N))
-    print(f"RMS after 1 s, deg  {joints}     all  factor  time  lines")
-    for name, error, spent, count in rows:
-        every = np.sqrt(np.mean(error**2))
-        joints = " ".join(f"{np.degrees(x):6.3f}" for x in error)
+    print(f"RMS after 1 s, deg  {joints}       all (std)    factor  time  lines")
+    for name, ends, spent, count in rows:
+        windows = np.mean(ends**2, axis=1)
+        every = np.sqrt(windows.mean())
+        std = windows.std(ddof=1) / (2.0 * every * np.sqrt(len(windows)))
+        joints = " ".join(f"{x:6.3f}" for x in np.degrees(np.sqrt(np.mean(ends**2, axis=0))))
         print(
-            f"{name:19s} {joints}; {np.degrees(every):6.3f}  {base / every:6.1f} "
-            f"{spent:6.1f} s {count:4d}"
+            f"{name:19s} {joints}; {np.degrees(every):6.3f} ± {np.degrees(std):.3f} "
+            f"{base / every:6.1f} {spent:6.1f} s {count:4d}"
         )
 
 
