@@ -19,7 +19,7 @@ from lieid_casadi.discrimination.motion_search import (
 )
 from lieid_casadi.discrimination.rival_effects import RivalEffects, groups_of
 from lieid_casadi.errors import ExcitationError, ModelError
-from lieid_casadi.excitation.checks import MARGIN, default_limits, verify
+from lieid_casadi.excitation.checks import MARGIN, control_times, default_limits, verify
 from lieid_casadi.excitation.limits import Limit, motion_range
 from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.identification import Fit
@@ -159,8 +159,8 @@ def discriminate(
     pairs = tuple(pair for group in groups for pair in group.result(feasible.motion(best)))
     worst = max(p.needed / p.noncentrality for p in pairs if p.separable)
     trajectory = feasible.parametrization.trajectory(best)
-    times = np.append(np.arange(0.0, duration, 1.0 / rate), duration)
-    verified = verify(robot, trajectory.at(times), feasible.range, feasible.limits, arm)
+    whole = trajectory.at(control_times(duration))
+    verified = verify(robot, whole, feasible.range, feasible.limits, arm)
     return Discrimination(
         model=groups[0].common, trajectory=trajectory, periods=int(np.ceil(worst)), level=level,
         sizes={

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import NoSolution
@@ -93,6 +92,11 @@ def default_limits(
     return tuple(limits)
 
 
+def control_times(duration: float) -> Array:
+    """Return times (N,) at 1 kHz, with the end, s."""
+    return np.append(np.arange(0.0, duration, CONTROL_STEP), duration)
+
+
 @dataclass(frozen=True, eq=False)
 class Verification:
     """Limits that a motion was verified to keep, and limits that it was not, in words."""
@@ -108,8 +112,7 @@ def verify(
     limits: Sequence[LimitOnArm],
     fit: FittedArm | None,
 ) -> Verification:
-    """Verify a motion, and return what was checked and what was not."""
-    motion = at_control_rate(motion)
+    """Verify a motion at its samples, and return what was checked and what was not."""
     along = ArmAlong(robot, motion)
     findings = [*_joint_findings(joints, motion)]
     findings += [_finding(limit, along, fit) for limit in limits]
@@ -125,34 +128,6 @@ def verify(
         *_general_remarks(robot, [x.limit for x in limits], fit),
     ]
     return Verification(tuple(text for text in checked if text), tuple(dict.fromkeys(unchecked)))
-
-
-def at_control_rate(motion: MotionSamples) -> MotionSamples:
-    """Return a motion at 1 kHz, by the quintics through its samples, as a controller follows it."""
-    steps = np.diff(motion.t)
-    if steps.max(initial=0.0) <= 1.5 * CONTROL_STEP:
-        stride = max(1, int(CONTROL_STEP / steps.min(initial=CONTROL_STEP) + 1e-6))
-        return motion.at(np.unique(np.append(np.arange(0, len(motion), stride), len(motion) - 1)))
-    t = np.append(np.arange(motion.t[0], motion.t[-1], CONTROL_STEP), motion.t[-1])
-    h = steps[:, None]
-    ends = [
-        signal
-        for part in (slice(None, -1), slice(1, None))
-        for signal in (motion.q[part], h * motion.dq[part], h**2 * motion.ddq[part])
-    ]
-    coefficients = np.tensordot(np.linalg.inv(_ENDS), np.stack(ends), axes=1)
-    quintics = PPoly(coefficients / h ** np.arange(5, -1, -1)[:, None, None], motion.t)
-    return MotionSamples(t, *(quintics(t, order) for order in range(3)))
-
-
-# powers 5 to 0 of u and their first two derivatives at the ends u = 0 and 1 of a step
-_ENDS = np.array(
-    [
-        [np.polyval(np.polyder(power, m=order), u) for power in np.eye(6)]
-        for u in (0, 1)
-        for order in range(3)
-    ]
-)
 
 
 @dataclass(eq=False)

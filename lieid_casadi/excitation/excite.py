@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import ExcitationError, LieidWarning, NoSolution, warning_list
-from lieid_casadi.excitation.checks import MARGIN, verify
+from lieid_casadi.excitation.checks import MARGIN, control_times, verify
 from lieid_casadi.excitation.criteria import (
     Criterion,
     CriterionExpression,
@@ -163,8 +163,8 @@ def excite(
     attempts = solve_all(problem, seeds, progress=progress, max_iterations=max_iterations)
     z = best_of(attempts)
     trajectory = problem.parametrization.trajectory(z)
-    times = np.append(np.arange(0.0, trajectory.duration, 1.0 / rate), trajectory.duration)
-    verified = verify(model.robot, trajectory.at(times), problem.range, problem.limits, problem.fit)
+    motion = trajectory.at(control_times(trajectory.duration))
+    verified = verify(model.robot, motion, problem.range, problem.limits, problem.fit)
     excesses = problem.excesses(z)
     return Excitation(
         model=problem.model, trajectory=trajectory, periods=periods, rest_pose=problem.pose,

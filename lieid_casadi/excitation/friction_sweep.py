@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation.checks import MARGIN, default_limits, verify
+from lieid_casadi.excitation.checks import CONTROL_STEP, MARGIN, default_limits, verify
 from lieid_casadi.excitation.design import RANGE_USED, find_start_pose, rest_pose
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
@@ -155,8 +155,10 @@ def friction_sweep(
             f"friction sweep: the range of joint {joint + 1} around {pose[joint]:g} is too short "
             "for every speed; choose a start pose nearer to the middle of the range"
         )
-    motion, parts = _motion(pose, joint, runs, rate, float(joints.acceleration[joint]))
-    verified = verify(robot, motion, joints, made, fit)
+    acceleration_limit = float(joints.acceleration[joint])
+    motion, parts = _motion(pose, joint, runs, rate, acceleration_limit)
+    fine, _ = _motion(pose, joint, runs, 1.0 / CONTROL_STEP, acceleration_limit)
+    verified = verify(robot, fine, joints, made, fit)
     return FrictionSweep(
         model, joint, motion, parts, tuple(left_out), verified.checked, verified.unchecked
     )

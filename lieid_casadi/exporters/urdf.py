@@ -1,7 +1,4 @@
-"""``lieid export FIT --to urdf``: the robot with the identified inertias, for simulators.
-
-They are edited into the file that the robot is from, or written into a new one.
-"""
+"""``lieid export FIT --to urdf``: the user's own URDF with the identified inertias."""
 
 from __future__ import annotations
 
@@ -30,9 +27,9 @@ from lieid_casadi.identification.feasible.certificate import position_range
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axes
 from lieid_casadi.messages import joints_text
-from lieid_casadi.robot import Joint, Robot
+from lieid_casadi.robot import Joint
 from lieid_casadi.robot.description import STANDARD_GRAVITY
-from lieid_casadi.robot.geometry import pose, relative, roll_pitch_yaw
+from lieid_casadi.robot.geometry import pose
 from lieid_casadi.robot.inertia import (
     body_inertia,
     link_parameters,
@@ -43,28 +40,26 @@ from lieid_casadi.robot.inertia import (
 
 SHARE = 0.5  # of the largest possible share, if the rigidly attached links cannot keep all
 KEPT = 0.95  # below this fraction of the possible inertia they keep all
-ON_AXIS = 1e-12  # m
 POSES = 200
 UNCERTAIN = 0.5  # standard deviation of a joint's gravity load relative to it
 LEAST_LOAD = 0.02  # of the largest: loads of other joints are not examined
 LEAST_SHARE = 0.2  # of the gravity load of the robot's description
 SEEN = 1e-6  # N·m per unit of a direction that the recordings did not excite
-REACH = 1e3  # m, limit of prismatic joints without limits, which URDF requires
 
 
 def urdf_files(fit: Fit, into: str | Path | None = None) -> tuple[dict[str, bytes], list[str]]:
     """Return ``ROBOT.urdf``, and notes on it.
 
     It is the one that the robot was read from, or ``into``, with the identified inertias and, where
-    the model has them, viscous and Coulomb friction; everything else stays as it was. A robot
-    from YAML gets a URDF written from its screws.
+    the model has them, viscous and Coulomb friction; everything else stays as it was.
 
     Raises `ExportError`: the fit's masses and inertias are not certified to be physically
-    consistent (the message has the command that makes a fit whose are), or the recordings did not
-    show the gravity load of a joint.
+    consistent (the message has the command that makes a fit whose are), the recordings did not
+    show the gravity load of a joint, or there is no URDF to edit.
     """
-    text, notes = urdf_text(fit, into)
+    check_possible(fit)
     check_gravity(fit)
+    text, notes = urdf_text(fit, into)
     return {f"{file_name(fit.model.robot.name)}.urdf": text.encode()}, notes
 
 
@@ -103,17 +98,15 @@ def check_gravity(fit: Fit) -> None:
 
 
 def urdf_text(fit: Fit, into: str | Path | None) -> tuple[str, list[str]]:
-    """Return the URDF and notes on it; raises as `urdf_files`."""
-    check_possible(fit)
+    """Return the URDF and notes on it; raises `ExportError` if there is none to edit."""
     robot, source = fit.model.robot, source_of(fit, into)
     friction = linear_friction(fit) if has_friction(fit) else ()
-    if source is not None and source.kind == "urdf":
-        text, notes = edited_urdf(fit, source.text, friction)
-    elif into is not None:
-        raise ExportError(f"{into}: not a URDF")
-    else:
-        bodies = fit.link_parameters.reshape(-1, 10)
-        text, notes = written_urdf(robot, bodies, friction)
+    if source is None or source.kind != "urdf":
+        raise ExportError(
+            f"{into or robot.name}: not a URDF; expected the arm's own URDF, into which the "
+            "numbers are written (--into FILE, into=), or --to mjcf"
+        )
+    text, notes = edited_urdf(fit, source.text, friction)
     notes += beyond_linear_friction(friction)
     left = left_out(fit, friction=True)
     if any(armature(fit, j) is not None for j in range(robot.n)):
@@ -283,100 +276,3 @@ def _meshes(root: Element) -> list[str]:
 def _mesh_paths(element: Element) -> list[str]:
     own = [element.attributes["filename"]] if "filename" in element.attributes else []
     return own + [path for child in element.children for path in _mesh_paths(child)]
-
-
-def written_urdf(
-    robot: Robot, bodies: Array, friction: Sequence[LinearFriction]
-) -> tuple[str, list[str]]:
-    """Return a URDF of a robot with link parameters (n, 10) and, if given, friction, and notes.
-
-    Link frames are those of the robot; the origin is moved onto the axis of the joint if it is
-    not on it.
-    """
-    names = _link_names(robot)
-    lines = [
-        '<?xml version="1.0" encoding="utf-8"?>',
-        f"<robot name={attribute(robot.name)}>",
-        f"  <link name={attribute(names[0])}/>",
-    ]
-    notes, before = [], np.eye(4)
-    for i, (joint, body) in enumerate(zip(robot.joints, bodies, strict=True)):
-        shift, back = np.eye(4), np.eye(4)
-        shift[:3, 3] = _point_on_axis(joint)
-        back[:3, 3] = -shift[:3, 3]
-        frame = np.asarray(joint.home @ shift)
-        lines += _link(names[i + 1], parameter_transport(back) @ body)
-        lines += _joint(joint, relative(before, frame), names[i : i + 2])
-        if friction:
-            own = friction[i]
-            numbers = f'damping="{number(own.damping)}" friction="{number(own.loss)}"'
-            lines.append(f"    <dynamics {numbers}/>")
-        lines.append("  </joint>")
-        before = frame
-        if np.any(shift[:3, 3]):
-            notes.append(f"{names[i + 1]}: its frame was moved onto the axis of {joint.name}")
-    tool = relative(before, robot.joints[-1].home @ robot.tool)
-    lines += [f"  <link name={attribute(names[-1])}/>"]
-    lines += [f'  <joint name={attribute(names[-1] + "_joint")} type="fixed">']
-    lines += [*_between(tool, names[-2:]), "  </joint>", "</robot>", ""]
-    return "\n".join(lines), notes
-
-
-def _point_on_axis(joint: Joint) -> Array:
-    """Return the point of a joint's axis (3,) next to the origin of its link frame."""
-    omega, v = joint.axis[:3], joint.axis[3:]
-    if not joint.revolute:
-        return np.zeros(3)
-    point = np.cross(omega, v)
-    return point if np.linalg.norm(point) > ON_AXIS else np.zeros(3)
-
-
-def _link(name: str, body: Array) -> list[str]:
-    inertial = inertial_text(body).replace("\n", "\n    ")
-    return [f"  <link name={attribute(name)}>", f"    {inertial}", "  </link>"]
-
-
-def _joint(joint: Joint, place: Array, names: Sequence[str]) -> list[str]:
-    """Return the lines of a joint without the last."""
-    limits = joint.limits
-    bounded = np.isfinite(limits.position_lower) and np.isfinite(limits.position_upper)
-    axis = joint.axis[:3] if joint.revolute else joint.axis[3:]
-    kind = "prismatic" if not joint.revolute else "revolute" if bounded else "continuous"
-    lines = [f'  <joint name={attribute(joint.name)} type="{kind}">']
-    lines += _between(place, names)
-    lines.append(f'    <axis xyz="{_numbers(axis)}"/>')
-    stated = {"effort": limits.torque, "velocity": limits.velocity}
-    if kind != "continuous":
-        low, high = (limits.position_lower, limits.position_upper) if bounded else (-REACH, REACH)
-        stated |= {"lower": low, "upper": high}
-    if kind != "continuous" or np.isfinite(limits.torque) or np.isfinite(limits.velocity):
-        written = "".join(
-            f' {name}="{number(value) if np.isfinite(value) else 0}"'
-            for name, value in stated.items()
-        )
-        lines.append(f"    <limit{written}/>")
-    return lines
-
-
-def _between(place: Array, names: Sequence[str]) -> list[str]:
-    rpy = roll_pitch_yaw(place[:3, :3])
-    return [
-        f'    <origin xyz="{_numbers(place[:3, 3])}" rpy="{_numbers(rpy)}"/>',
-        f"    <parent link={attribute(names[0])}/>",
-        f"    <child link={attribute(names[1])}/>",
-    ]
-
-
-def _link_names(robot: Robot) -> list[str]:
-    """Return names of the base, the links and the tool, all different."""
-    wanted = ["base", *(j.link_name or f"{j.name}_link" for j in robot.joints), "tool"]
-    names: list[str] = []
-    for name in wanted:
-        while name in names:
-            name += "_"
-        names.append(name)
-    return names
-
-
-def _numbers(values: Array) -> str:
-    return " ".join(number(x) for x in values)

@@ -40,8 +40,6 @@ from lieid_casadi.plant.simulate import move, simulate
 from lieid_casadi.plant.trajectories import (
     FourierTrajectory,
     ReferenceTrajectory,
-    point_to_point,
-    sweep,
     torque_scale,
 )
 from lieid_casadi.robot.pinocchio_model import build_pinocchio
@@ -55,6 +53,5 @@ __all__ = [
     "TorqueGain", "TorqueLowpass", "TorqueRipple", "TransmissionCoupling", "TrueMotion",
     "ViscousAsymmetric", "ViscousPolynomial", "WarmUp", "build_pinocchio", "demo_arm",
     "demo_sensors", "hidden_effect", "measure", "measure_along", "move", "move_along",
-    "perturbed_inertias", "point_to_point", "simulate", "simulate_commands", "sweep",
-    "torque_scale", "with_payload",
+    "perturbed_inertias", "simulate", "simulate_commands", "torque_scale", "with_payload",
 ]  # fmt: skip

@@ -19,7 +19,7 @@ from lieid_casadi.plant.effects import (
     Payload,
 )
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.inertia import body_inertia, link_parameters
+from lieid_casadi.robot.inertia import body_inertia, link_parameters, parameter_transport
 from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 E = TypeVar("E", bound=HiddenEffect)
@@ -153,13 +153,8 @@ def perturbed_inertias(robot: Robot, *, spread: float = 0.2, seed: int) -> Array
 
 def with_payload(robot: Robot, parameters: Array, payload: Array) -> Array:
     """Return link parameters (10 n,) with a body (10,), in the tool's frame, added at the tool."""
-    body = body_inertia(payload)
-    rotation, origin = robot.tool[:3, :3], robot.tool[:3, 3]
-    carried = link_parameters(
-        body.mass, origin + rotation @ body.com, rotation @ body.inertia @ rotation.T
-    )
     loaded = np.array(parameters, dtype=float)
-    loaded[-10:] += carried
+    loaded[-10:] += parameter_transport(robot.tool) @ payload
     return loaded
 
 

@@ -1,14 +1,12 @@
-"""Reference motions: random Fourier series, moves between poses, sweeps of one joint."""
+"""Reference motions: random Fourier series within the limits of a robot."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BPoly
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
@@ -17,7 +15,6 @@ from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 DEFAULT_ACCELERATION = 5.0  # rad/s² (m/s²) where the robot states no limit
 DEFAULT_VELOCITY = {True: 2.0, False: 0.5}  # rad/s revolute, m/s sliding
-REST = 0.5  # s, between two runs of a sweep
 DEFAULT_REACH = {True: np.pi, False: 0.5}  # rad, m either side
 
 
@@ -141,104 +138,6 @@ class FourierTrajectory:
         dq = cosine @ self._a + sine @ self._b
         ddq = cosine @ (self._b * w) - sine @ (self._a * w)
         return q, dq * inside[:, None], ddq * inside[:, None]
-
-
-@dataclass(frozen=True, eq=False)
-class PolynomialPath:
-    """A motion of quintics between knots; at rest before its start and after its end."""
-
-    path: BPoly  # (n,) over time
-
-    @classmethod
-    def through(cls, times: Array, q: Array, dq: Array) -> PolynomialPath:
-        """Return the path through knots (K,), (K, n), (K, n) without acceleration."""
-        return cls(BPoly.from_derivatives(times, np.stack([q, dq, np.zeros_like(q)], axis=1)))
-
-    @property
-    def duration(self) -> float:
-        """Time from start to end, s."""
-        return float(self.path.x[-1])
-
-    def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """q, dq, ddq (N, n) at times (N,)."""
-        given = np.asarray(t, dtype=float)
-        times = np.clip(given, 0.0, self.duration)
-        inside = ((given > 0.0) & (given < self.duration))[:, None]
-        return self.path(times), self.path(times, 1) * inside, self.path(times, 2) * inside
-
-
-def moves_between(poses: Array, times: Array, dwell: float) -> PolynomialPath:
-    """Return moves from rest to rest between poses (P, n), in ``times`` (P − 1,), with dwells."""
-    starts = dwell + np.concatenate([[0.0], np.cumsum(times[:-1] + dwell)])
-    knots = np.column_stack([starts, starts + times]).ravel()
-    knots = np.concatenate([[0.0], knots, [knots[-1] + dwell]])
-    every = np.repeat(poses, 2, axis=0)
-    return PolynomialPath.through(knots, every, np.zeros_like(every))
-
-
-def point_to_point(
-    robot: Robot, *, poses: int = 8, dwell: float = 1.0, speed: float = 0.7, seed: int
-) -> PolynomialPath:
-    """Return moves between random poses, at rest for ``dwell`` (s) between them.
-
-    The fastest joint of a move reaches the part ``speed`` of its velocity limit.
-    """
-    envelope = Envelope.of(robot)
-    random = np.random.default_rng(seed)
-    stops = random.uniform(envelope.lower, envelope.upper, (poses, robot.n))
-    distance = np.abs(np.diff(stops, axis=0))
-    # A quintic has peaks of 15/8 of its mean velocity and 10/√3 of distance/time².
-    by_velocity = 15.0 / 8.0 * distance / (speed * envelope.velocity)
-    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * distance / envelope.acceleration)
-    times = np.maximum(np.maximum(by_velocity, by_acceleration).max(axis=1), 0.1)
-    return moves_between(stops, times, dwell)
-
-
-def sweep(
-    robot: Robot,
-    joint: int,
-    *,
-    speeds: Sequence[float] | None = None,
-    pose: ArrayLike | None = None,
-) -> PolynomialPath:
-    """Return forward and backward runs of one joint (from 0) across its range.
-
-    Speeds (rad/s) are 5, 15 and 40 % of the joint's limit by default, the pose of the other joints
-    the middle of their ranges; 0.5 s are at rest between two runs.
-
-    RobotError: no such joint, or a speed that is not positive or for which the range is too short.
-    """
-    if not 0 <= joint < robot.n:
-        raise RobotError(f"sweep of joint {joint} (from 0); robot {robot.name!r} has {robot.n}")
-    envelope = Envelope.of(robot)
-    lower, upper = float(envelope.lower[joint]), float(envelope.upper[joint])
-    acceleration = float(envelope.acceleration[joint])
-    limit = float(envelope.velocity[joint])
-    chosen = tuple(float(x) for x in (speeds or (0.05 * limit, 0.15 * limit, 0.4 * limit)))
-    for speed in chosen:
-        if not 0.0 < 1.5 * speed * speed / acceleration < upper - lower:
-            raise RobotError(
-                f"sweep of joint {joint} (from 0) at {speed:g} rad/s does not fit its range"
-            )
-    knots = [(0.0, lower, 0.0)]  # time, position, speed; accelerations are zero there
-    for speed in chosen:
-        ramp = 1.5 * speed / acceleration  # its peak acceleration is 1.5 of the mean
-        total = ramp + (upper - lower) / speed
-        for start, end, v in ((lower, upper, speed), (upper, lower, -speed)):
-            begin = knots[-1][0] + REST
-            knots += [
-                (begin, start, 0.0),
-                (begin + ramp, start + 0.5 * ramp * v, v),
-                (begin + total - ramp, end - 0.5 * ramp * v, v),
-                (begin + total, end, 0.0),
-            ]
-    knots.append((knots[-1][0] + REST, lower, 0.0))
-    times, positions, velocities = np.array(knots).T
-    middle = envelope.middle if pose is None else np.asarray(pose, dtype=float)
-    q = np.tile(middle, (len(times), 1))
-    dq = np.zeros_like(q)
-    q[:, joint], dq[:, joint] = positions, velocities
-    return PolynomialPath.through(times, q, dq)
 
 
 def _without(coefficients: Array, direction: Array) -> Array:

@@ -1,7 +1,7 @@
 """YAML text to plain data: mappings, lists, texts and numbers, within limits of size and depth.
 
-The text is read as a stream of events, of which only plain data is made: tags are refused, and an
-alias counts as many values as it repeats. The length of the text bounds time and memory.
+The text is read as a stream of events, of which only plain data is made: tags and aliases are
+refused. The length of the text bounds time and memory.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from lieid_casadi.errors import RobotError
 
 LONGEST = 1_000_000  # characters
-MOST_VALUES = 100_000
 DEEPEST = 20
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?\.inf|\.nan", re.IGNORECASE)
@@ -63,8 +62,6 @@ class _Composer:
 
     def __init__(self, events: Iterator[Any]) -> None:
         self._events = events
-        self._anchors: dict[str, tuple[Any, int]] = {}  # complete values, and how many they hold
-        self._values = 0
 
     def document(self) -> Any:
         """Return the data of the only document, None if there is none."""
@@ -81,21 +78,9 @@ class _Composer:
         if depth > DEEPEST:
             raise _Refused(event, f"nested deeper than {DEEPEST} levels")
         if isinstance(event, yaml.AliasEvent):
-            if event.anchor not in self._anchors:
-                raise _Refused(event, f"alias {short(event.anchor)} of no complete value before it")
-            data, values = self._anchors[event.anchor]
-            self._count(event, values)
-            return data
+            raise _Refused(event, f"found the alias {short(event.anchor)}, expected its value")
         if event.tag is not None and event.tag != "!":
             raise _Refused(event, f"found the tag {short(event.tag)}, expected plain YAML")
-        first = self._values
-        self._count(event, 1)
-        data = self._content(event, depth)
-        if event.anchor is not None:
-            self._anchors[event.anchor] = data, self._values - first
-        return data
-
-    def _content(self, event: Any, depth: int) -> Any:
         if isinstance(event, yaml.ScalarEvent):
             return _scalar(event.value) if event.implicit[0] else event.value
         if isinstance(event, yaml.SequenceStartEvent):
@@ -115,11 +100,6 @@ class _Composer:
             if isinstance(event, end):
                 return
             yield event
-
-    def _count(self, event: Any, values: int) -> None:
-        self._values += values
-        if self._values > MOST_VALUES:
-            raise _Refused(event, f"more than {MOST_VALUES} values, aliases included")
 
 
 def _scalar(text: str) -> str | float | int | bool | None:

@@ -12,8 +12,9 @@ time, and the lines of user code.
 Cases: ``hold``, commands that are late by their hold alone; ``delay``, by 40 ms more;
 ``saturation`` and ``half``, torques limited to 80 and 50 % of what the recording without a limit
 reaches; ``backlash``, 0.8° in every joint and the delay. ``--diagnose``: also what `diagnose` makes
-of the default model. ``--seed``: of the arm and its motions. ``--step``: of both simulations. MuJoCo's integration adds half a step × damping to the inertia, 3 %
-of a joint's at 2 ms; it is in what was recorded, and the exported model makes up for it.
+of the default model. ``--seed``: of the arm and its motions. ``--step``: of both simulations.
+MuJoCo's integration adds half a step × damping to the inertia, 3 % of a joint's at 2 ms; it is in
+what was recorded, and the exported model makes up for it.
 """
 
 from __future__ import annotations

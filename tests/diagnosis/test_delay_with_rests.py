@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plant.motions import point_to_point
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -26,7 +27,7 @@ def test_a_delay_is_estimated_from_the_moves():
     arm = plant.demo_arm(ROBOT, hidden=None)
     arm = replace(arm, friction=replace(arm.friction, coulomb=4.0 * arm.friction.coulomb))
     before = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=1)
-    after = plant.point_to_point(ROBOT, poses=6, seed=4)
+    after = point_to_point(ROBOT, poses=6, seed=4)
     model = lieid.Model(ROBOT, "coulomb,viscous,offset")
     fit = lieid.identify(model, measured(arm, before, seed=1))
     late = arm.with_effects(plant.TorqueDelay(1, delay=0.008))

@@ -9,7 +9,7 @@ from exporters.c_arms import made_fit
 
 import lieid_casadi as lieid
 from lieid_casadi.exporters.export import export
-from lieid_casadi.exporters.urdf import written_urdf
+from lieid_casadi.exporters.mjcf import mjcf_text
 
 NAMES = [
     "a--b",
@@ -34,14 +34,11 @@ def named(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_urdf_files_are_well_formed(name):
-    fit = named(name)
-    bodies = fit.link_parameters.reshape(-1, 10)
-    text, _ = written_urdf(fit.model.robot, bodies, ())
-    root = ElementTree.fromstring(text)
-    assert {element.tag for element in root} == {"link", "joint"}
+def test_mujoco_models_are_well_formed(name):
+    root = ElementTree.fromstring(mjcf_text(named(name))[0])
+    assert {element.tag for element in root} == {"compiler", "option", "worldbody", "actuator"}
     if name.isprintable():
-        assert root.get("name") == name
+        assert root.get("model") == name
 
 
 def test_names_are_no_markup_in_the_readme(tmp_path):

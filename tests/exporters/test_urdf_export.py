@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from real_arms import URDFS
-from robot.random_arms import random_arm
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -242,27 +241,10 @@ def test_a_fit_without_certificate_is_refused_with_the_command(bench, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("robot", [lieid.robots.panda(), lieid.robots.two_link()], ids=["7", "2"])
-def test_bundled_robots_get_a_urdf_from_their_screws(robot, tmp_path):
-    fit = fitted(robot)
-    done = export(fit, tmp_path, to="urdf")
-    check_torques(done.files[0], fit)
-    again = lieid.Robot.from_urdf(done.files[0])
-    for mine, theirs in zip(robot.joints, again.joints, strict=True):
-        np.testing.assert_allclose(theirs.screw, mine.screw, atol=1e-12)
-        for limit in ("position_lower", "position_upper", "velocity", "torque"):
-            np.testing.assert_equal(getattr(theirs.limits, limit), getattr(mine.limits, limit))
-    last = again.joints[-1].home @ again.tool
-    np.testing.assert_allclose(last, robot.joints[-1].home @ robot.tool, atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_offset_axes_prismatic_joints_and_other_gravity(seed, tmp_path):
-    robot = random_arm(np.random.default_rng(seed), 4)
-    fit = fitted(robot, effects="viscous")
-    done = export(fit, tmp_path, to="urdf")
-    check_torques(done.files[0], fit)
-    assert any("set it to" in note for note in done.notes)
+def test_a_robot_that_is_not_from_a_urdf_needs_one(tmp_path):
+    fit = fitted(lieid.robots.two_link())
+    with pytest.raises(ExportError, match=r"two_link: not a URDF; .*--into FILE"):
+        export(fit, tmp_path / "out", to="urdf")
 
 
 @pytest.mark.real

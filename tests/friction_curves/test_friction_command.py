@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 from friction_curves.friction_plant import ROBOT, SPEEDS, excitation, measured
+from plant.motions import constant_speeds
 
 import lieid_casadi as lieid
-from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("friction")
-    motion = plant.sweep(ROBOT, 0, speeds=SPEEDS[3:], pose=[0.0, 0.4])
+    motion = constant_speeds(ROBOT, 0, speeds=SPEEDS[3:], pose=[0.0, 0.4])
     t = np.arange(0.0, motion.duration, 0.004)
     path = folder / "run.csv"
     measured(t, motion.at(t)).save(path)

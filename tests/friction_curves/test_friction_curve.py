@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from exporters.c_arms import made_fit
 from friction_curves.friction_plant import CUTOFF, ROBOT, SPEEDS, arm, friction, measured
+from plant.motions import constant_speeds
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -15,7 +16,7 @@ from lieid_casadi.friction_curves import friction_curve
 
 @pytest.fixture(scope="module")
 def sweep():
-    motion = plant.sweep(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
+    motion = constant_speeds(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
     t = np.arange(0.0, motion.duration, 0.004)
     return measured(t, motion.at(t))
 
@@ -46,7 +47,7 @@ def test_the_measured_load_is_the_rigid_torque(sweep, curve):
 
 def test_offset_and_asymmetric_friction_are_not_in_the_curve(sweep):
     even = arm(plant.ViscousAsymmetric(0, 0.5), offset=-2.0)
-    motion = plant.sweep(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
+    motion = constant_speeds(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
     t = np.arange(0.0, motion.duration, 0.004)
     fit = replace(made_fit(ROBOT, ""), parameters=arm().parameters)
     other = friction_curve(fit, measured(t, motion.at(t), hidden=even), 0, processing=CUTOFF)
@@ -86,7 +87,7 @@ def test_standard_errors_cover():
 
     Each pass is matched with more than one pass in the other direction, so samples are used twice.
     """
-    motion = plant.sweep(ROBOT, 0, speeds=(0.2, 0.2, 0.2, 0.2), pose=[0.0, 0.4])
+    motion = constant_speeds(ROBOT, 0, speeds=(0.2, 0.2, 0.2, 0.2), pose=[0.0, 0.4])
     t = np.arange(0.0, motion.duration, 0.008)
     runs = [
         friction_curve(

@@ -16,8 +16,8 @@ from friction_curves.friction_plant import (
     friction,
     measured,
 )
+from plant.motions import constant_speeds
 
-from lieid_casadi import plant
 from lieid_casadi.errors import (
     BoundWarning,
     EffectError,
@@ -31,7 +31,7 @@ TRUTH = "coulomb,viscous,stribeck,load_friction"
 
 @pytest.fixture(scope="module")
 def curve():
-    motion = plant.sweep(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
+    motion = constant_speeds(ROBOT, 0, speeds=SPEEDS, pose=[0.0, 0.4])
     t = np.arange(0.0, motion.duration, 0.004)
     return friction_curve(ROBOT, measured(t, motion.at(t)), 0, processing=CUTOFF)
 

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from plant.motions import PolynomialPath, moves_between, point_to_point
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.plant import FourierTrajectory, ReferenceTrajectory, point_to_point
-from lieid_casadi.plant.trajectories import Envelope, PolynomialPath, moves_between
+from lieid_casadi.plant import FourierTrajectory, ReferenceTrajectory
+from lieid_casadi.plant.trajectories import Envelope
 from lieid_casadi.robot import Robot
 
 SAMPLE, WIDTH, MARGIN = 1e-3, 0.01, 0.06  # s: of smoothed motions, and what is added at the ends

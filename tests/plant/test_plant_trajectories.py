@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from plant.motions import point_to_point
 from robot.random_arms import random_arm
 
 from lieid_casadi import robots
 from lieid_casadi.errors import RobotError
-from lieid_casadi.plant import FourierTrajectory, point_to_point, sweep
+from lieid_casadi.plant import FourierTrajectory
 
 ARMS = [robots.panda, robots.two_link, lambda: random_arm(np.random.default_rng(1), 5)]
 
@@ -20,7 +21,7 @@ def _moves(robot):
 
 
 @pytest.mark.parametrize("robot", [make() for make in ARMS], ids=lambda r: r.name)
-@pytest.mark.parametrize("make", [_fourier, _moves, lambda robot: sweep(robot, 1)])
+@pytest.mark.parametrize("make", [_fourier, _moves])
 def test_motion_is_feasible_smooth_and_rests_at_both_ends(robot, make):
     path = make(robot)
     t = np.linspace(-0.5, path.duration + 0.5, 40001)
@@ -49,20 +50,6 @@ def test_fourier_trajectories_are_periodic_and_reproducible():
     assert np.abs(one.at(t)[0] - other.at(t)[0]).max() > 0.1
 
 
-def test_sweep_moves_one_joint_at_constant_speeds():
-    path = sweep(robots.panda(), 3, speeds=(0.2, 0.6))
-    t = np.linspace(0, path.duration, 200001)
-    q, dq, _ = path.at(t)
-    assert not np.delete(dq, 3, axis=1).any()
-    for speed in (0.2, -0.2, 0.6, -0.6):
-        on = np.abs(dq[:, 3] - speed) < 1e-9
-        assert np.ptp(q[on, 3]) > 0.6 * np.ptp(q[:, 3])
-
-
-def test_infeasible_sweeps_are_refused():
-    with pytest.raises(RobotError, match="sweep of joint 2"):
-        sweep(robots.two_link(), 2)
-    with pytest.raises(RobotError, match="does not fit"):
-        sweep(robots.two_link(), 0, speeds=(50.0,))
+def test_a_series_of_one_harmonic_is_refused():
     with pytest.raises(RobotError, match="expected at least 2"):
         FourierTrajectory(robots.two_link(), harmonics=1, seed=0)

@@ -1,5 +1,3 @@
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from robot.random_arms import random_arm
@@ -167,13 +165,7 @@ BAD = {
     "an octal-like number": (SCREW + "[0x_, 0, 1, 0, 0, 0]", "found '0x_', expected a number"),
     "an impossible date": ("name: 2026-02-30\njoints: 0000-99-99", "found '0000-99-99', expected"),
     "deep nesting": ("name: " + "[" * 5000 + "]" * 5000, "nested deeper than 20 levels"),
-    "an alias of itself": ("name: &a [*a]", "alias 'a' of no complete value before it"),
-    "an unknown alias": ("name: *b", "alias 'b' of no complete value before it|not YAML"),
-    "an alias bomb": (
-        "a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
-        + "".join(f"{n}: &{n} [{', '.join([f'*{b}'] * 10)}]\n" for b, n in pairwise("abcdefg")),
-        "more than 100000 values, aliases included",
-    ),
+    "an alias": ("name: &a [*a]", "found the alias 'a', expected its value"),
     "too long": ("name: " + "x" * 1_000_000, "1000006 characters; expected at most 1000000"),
     "two documents": ("name: a\n---\nname: b", "found a second document"),
     "a huge version": ("%YAML " + "9" * 5000 + ".1\n---\nname: a", "not YAML"),
