@@ -28,10 +28,9 @@ def run(args: argparse.Namespace) -> None:
     It shows how the error falls with each of them. Without arguments it opens the simulated arm of
     the demo.
 
-    robot [ROBOT|FIT]: input = ''  robot to fit a model of, or a fit (.json) to compare with
-        recordings measured since
-    recordings [REC …]: input  recordings; of a robot, the last of several is the test and
-        the others are fitted
+    robot [ROBOT|FIT]: input = ''  robot, or a fit (.json) whose model is fitted again
+    recordings [REC …]: input  recordings; the last of several is the test and the others are
+        fitted
     --train REC …: input  recordings to fit
     --test REC …: input  recordings to test on
     @NO_EFFECTS @TIP_AND_LOCK @RECORDING
@@ -70,24 +69,18 @@ def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
         return demo_inputs()
     is_fit = inputs.is_fit(args)
     train, test = list(args.train), list(args.test)
-    kept = is_fit and not train and not test
-    if kept:
-        test = list(args.recordings)
-    elif args.recordings and (train or test):
+    if args.recordings and (train or test):
         raise UsageError(
             f"{args.recordings[0]}: expected all recordings after --train and --test, or none"
         )
-    elif args.recordings:
+    if args.recordings:
         last = max(len(args.recordings) - 1, 1)
         train, test = list(args.recordings[:last]), list(args.recordings[last:])
     robot = inputs.robot_of(args)
     effects = tuple(p.label for p in Model(robot, args.effects).placements)
-    if kept and effects:
-        raise UsageError("--effects: a fit that is kept has its own effects; expected --train too")
     return WorkbenchInputs(
         robot="" if is_fit else str(args.robot),
         fit=str(args.robot) if is_fit else "",
-        mode="changed" if kept else "missing",
         recordings=(
             *(RecordingInput(str(path), "train") for path in train),
             *(RecordingInput(str(path), "test") for path in test),
@@ -151,7 +144,7 @@ def _arguments(opened: WorkbenchInputs) -> argparse.Namespace:
     """Return the command line that opens what a page has open."""
     parser = _Parser(allow_abbrev=False)
     options.COMMANDS["workbench"].add_to("workbench", parser.add_subparsers())
-    train = ["--train", *opened.paths("train")] if opened.mode == "missing" else []
+    train = ["--train", *opened.paths("train")]
     return parser.parse_args(["workbench", opened.fit or opened.robot, *train, *opened.words])
 
 

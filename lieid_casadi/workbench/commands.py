@@ -17,9 +17,6 @@ def shell_lines(session: Session, cutoff: float | None = None) -> str:
     inputs, step = session.inputs, session.step
     assert step is not None  # there is nothing to reproduce before inputs are open
     train, test = _paths(inputs, step, "train"), _paths(inputs, step, "test")
-    if inputs.mode == "changed":
-        words = [inputs.fit, *test, *train, *inputs.words]
-        return "\n".join(shlex.join(["lieid", name, *words]) for name in ("compare", "diagnose"))
     options = [*inputs.words, *([] if cutoff is None else ["--cutoff", repr(cutoff)])]
     source = inputs.fit or inputs.robot
     given = [*(["--test", *test] if test else []), "--effects", _effects(step), *options]

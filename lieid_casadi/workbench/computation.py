@@ -63,10 +63,7 @@ SHAPE_ROWS = 10_000  # of the grid, above which it finds shape parameters on a p
 KEPT_RESULTS, KEPT_PREPARED = 40, 8  # of each kind; of processed recordings, which are large
 MOST_STRETCHES = 8  # of each recording in such a part
 LEAST_DURATION = 5.0  # s, of a stretch; the filter needs a second at each of its ends
-SEARCHES = {
-    "missing": "“Find what is missing” searches the library of effects",
-    "changed": "“Find what has changed” searches for changes since the fit",
-}
+REMEDY = "“Find what is missing” searches the library of effects"
 
 
 class Computation:
@@ -75,8 +72,7 @@ class Computation:
     def __init__(self, setup: WorkerSetup, inputs: WorkbenchInputs) -> None:
         self.inputs = inputs
         self._opened_fit = fit = Fit.load(inputs.fit) if inputs.fit else None
-        self._kept_fit = fit if inputs.mode == "changed" else None
-        self.robot = setup.robot(inputs) if self._kept_fit is None else self._kept_fit.model.robot
+        self.robot = setup.robot(inputs)
         read = setup.read(inputs, fit or self.robot)
         titles = recording_titles(inputs)
         self.recordings = tuple(replace(r, name=t) for r, t in zip(read, titles, strict=True))
@@ -95,10 +91,9 @@ class Computation:
             return "the torques of a drive law are assumptions themselves"
         use = {"train": [], "test": []}  # type: dict[str, list[Recording]]
         for given, recording in zip(self.inputs.recordings, self.recordings, strict=True):
-            use["train" if self.inputs.mode == "changed" else given.role].append(recording)
-        source = self._kept_fit or self.robot
+            use[given.role].append(recording)
         try:
-            return premises.check(source, use["train"], test=use["test"], progress=report)
+            return premises.check(self.robot, use["train"], test=use["test"], progress=report)
         except (ModelError, RecordingError) as error:
             return " ".join(str(error).split())
 
@@ -128,7 +123,7 @@ class Computation:
 
     def fit(self, step: ModelStep, report: Progress) -> Fit:
         """Return the exact fit of a step, with standard deviations."""
-        kept: Fit | None = self._kept_fit or self._results.get(("fit", step.key))
+        kept: Fit | None = self._results.get(("fit", step.key))
         if kept is None:
             model, first = Model(self.robot, step.effects), self._first(step, 1.0, report)
             kept = first
@@ -146,12 +141,10 @@ class Computation:
     ) -> tuple[FoundEffects, bytes]:
         """Return the effects that the model of a step lacks, and the fit with all of them.
 
-        With a kept fit, what has changed since. The fit is the content of a file, for `adopt`.
+        The fit is the content of a file, for `adopt`.
         """
         self._processing = self._processing or processing
         train, test = self.used(step)
-        if self._kept_fit is not None:
-            return found_effects(diagnose(self._kept_fit, test, progress=report), step.effects), b""
         diagnosis = diagnose(
             Model(self.robot, step.effects),
             train,
@@ -214,9 +207,8 @@ class Computation:
         used: dict[str, list[Recording]] = {"train": [], "test": []}
         both = zip(self.inputs.recordings, self.recordings, strict=True)
         for k, (given, recording) in enumerate(both):
-            role = "test" if self.inputs.mode == "changed" else given.role
-            used[role] += used_parts(recording, k, step.excluded, share=share)
-        if self.inputs.mode == "missing" and not used["train"]:
+            used[given.role] += used_parts(recording, k, step.excluded, share=share)
+        if not used["train"]:
             raise UsageError("no training recording is left; undo the exclusion or open another")
         return used["train"], used["test"]
 
@@ -239,8 +231,6 @@ class Computation:
 
     def _quick_fit(self, step: ModelStep, share: float, report: Progress) -> tuple[Fit, bool]:
         """Return a fit without standard deviations, and whether it is exact apart from these."""
-        if self._kept_fit is not None:
-            return self._kept_fit, True
         model, first = Model(self.robot, step.effects), self._first(step, share, report)
         train, held = self._prepared("train", step, first, share), None
         rows = sum(len(segment.q) for segment in train.segments)
@@ -300,7 +290,7 @@ class Computation:
             errors=StepErrors(*(tuple(numbers_or_none(values)) for values in columns)),
             train=on_train,
             test=on_test,
-            sentence="\n".join(verdict_sentences(shown, SEARCHES[self.inputs.mode])),
+            sentence="\n".join(verdict_sentences(shown, REMEDY)),
             effects=effect_rows(fit),
             cutoff=fit.processing.cutoff or shown.cutoff,
             processing=fit.processing,

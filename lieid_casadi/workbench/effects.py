@@ -77,17 +77,15 @@ class EffectsView(View):
         if evaluation is None or not self.is_new(evaluation, joint, curves):
             return
         set_text(self._title, f"Effects on joint {joint + 1}")
-        removable = workbench.session.inputs.mode == "missing"
-        self._menu.button.set_visibility(removable)
         here = [row for row in evaluation.effects if row.joint == joint]
         here += [row for row in evaluation.effects if row.joint is None]
         others = [row for row in evaluation.effects if row.joint not in (joint, None)]
         opened = workbench.opened
         unit = "" if opened is None else opened.units[joint]
-        shown = [_card(row, curves.get(row.label), unit, removable=removable) for row in here]
+        shown = [_card(row, curves.get(row.label), unit) for row in here]
         if others:
             shown.append(part("muted small", "on other joints"))
-            shown.append(part("chips", *(_chip(row, removable=removable) for row in others)))
+            shown.append(part("chips", *map(_chip, others)))
         self._list.show(*shown)
 
 
@@ -143,12 +141,11 @@ def _one_line(effect: Effect) -> str:
     return line.replace("`", "").partition(": τ")[0].rstrip(".")
 
 
-def _card(row: EffectRow, curve: EffectCurve | None, unit: str, *, removable: bool) -> Markup:
+def _card(row: EffectRow, curve: EffectCurve | None, unit: str) -> Markup:
     """Return an effect with its values, and its torque once it is computed."""
     shown = [
         part(
-            "card-head", part("strong grow", row.label), _atlas(row.label),
-            _remove(row.label) if removable else "",
+            "card-head", part("strong grow", row.label), _atlas(row.label), _remove(row.label)
         ),
         part("formula", Markup(formula_html(row.effect.formula))),
         cut_part("muted small ellipsis", _one_line(row.effect)),
@@ -183,11 +180,10 @@ def _atlas(label: str) -> Markup:
     return Markup(link).format(effect, f"{effect} in the effect atlas", place(label))
 
 
-def _chip(row: EffectRow, *, removable: bool) -> Markup:
+def _chip(row: EffectRow) -> Markup:
     """Return an effect on another joint."""
-    remove = _remove(row.label) if removable else ""
     tip = "; ".join(row.values)
-    return part("chip", row.label, remove, id=f"effect-{place(row.label)}", tip=tip)
+    return part("chip", row.label, _remove(row.label), id=f"effect-{place(row.label)}", tip=tip)
 
 
 def _remove(label: str) -> Markup:
@@ -258,22 +254,21 @@ class FindingsView(View):
         present = () if step is None else step.effects
         missing = [] if found is None else [p for p in found.proposed if p.label not in present]
         self._all.text = f"Add all {len(missing)}" if len(missing) > 1 else "Add it"
-        changed = session.inputs.mode == "changed"
-        self._all.set_visibility(bool(missing) and not (searching or changed))
-        if self.is_new(found, present, changed, searching):
+        self._all.set_visibility(bool(missing) and not searching)
+        if self.is_new(found, present, searching):
             shown = None if searching else found
-            self._list.show(*(_findings(shown, present, changed=changed) if shown else ()))
+            self._list.show(*(_findings(shown, present) if shown else ()))
 
 
-def _findings(found: FoundEffects, present: tuple[str, ...], *, changed: bool) -> list[Markup]:
+def _findings(found: FoundEffects, present: tuple[str, ...]) -> list[Markup]:
     shown = []
     for group in dict.fromkeys(p.group for p in found.proposed):
         several = found.groups.get(group, [])
-        if several and any(p.label not in present for p in several) and not changed:
+        if any(p.label not in present for p in several):
             shown.append(_group_row(group, several))
         for proposed in (p for p in found.proposed if p.group == group):
-            shown.append(_finding(proposed, present=proposed.label in present, changed=changed))
-            if proposed.rivals and not changed:
+            shown.append(_finding(proposed, present=proposed.label in present))
+            if proposed.rivals:
                 shown.append(_rivals(proposed))
     return shown + [cut_part("value muted", sentence) for sentence in found.unexplained]
 
@@ -289,10 +284,9 @@ def _group_row(group: int, members: list[ProposedEffect]) -> Markup:
     )  # fmt: skip
 
 
-def _finding(proposed: ProposedEffect, *, present: bool, changed: bool) -> Markup:
+def _finding(proposed: ProposedEffect, *, present: bool) -> Markup:
     """Return a proposal in one line; a click adds it."""
     label, before, after = proposed.label, proposed.before, proposed.after
-    facts = f"change: {proposed.value}" if changed else proposed.sentence or proposed.value
     shown = [
         part("strong", label),
         part(
@@ -300,18 +294,18 @@ def _finding(proposed: ProposedEffect, *, present: bool, changed: bool) -> Marku
             tip=STATUS_MEANING[proposed.status],
         ),
         _atlas(label),
-        cut_part("grow ellipsis muted", facts),
+        cut_part("grow ellipsis muted", proposed.sentence or proposed.value),
     ]  # fmt: skip
     if before and after is not None:
         change = f"{100.0 * (after / before - 1.0):+.0f} %"
         errors = f"{figures(before)} → {figures(after)} N·m ({change})"
         tip = "unseen error of the joint: with all that was found but this, and with all"
         shown.append(part("number", errors, tip=tip))
-    action = "" if present or changed else f"effect {label}"  # a kept fit keeps its effects
-    if action:
-        shown.append(part("material-icons add", "add_circle", tip="add it and fit again"))
-    elif not changed:
+    action = "" if present else f"effect {label}"
+    if present:
         shown.append(part("muted small", "in the model"))
+    else:
+        shown.append(part("material-icons add", "add_circle", tip="add it and fit again"))
     return part("finding candidate", *shown, id=f"candidate-{place(label)}", action=action)
 
 

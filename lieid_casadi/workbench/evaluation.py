@@ -111,9 +111,8 @@ class Evaluation:
 
     It is ``exact`` unless shape parameters or coefficients were found on parts of the recordings,
     and ``complete`` if it has the standard deviations and the noise floor of this model, too.
-    ``train`` compares with the recordings that were fitted, ``test`` with the others (all, if the
-    fit is kept); their series are named by the recordings' titles. ``cutoff`` is that of the filter
-    in ``processing``, Hz.
+    ``train`` compares with the recordings that were fitted, ``test`` with the others; their series
+    are named by the recordings' titles. ``cutoff`` is that of the filter in ``processing``, Hz.
     """
 
     exact: bool
@@ -241,24 +240,23 @@ def _axis(effect: Effect) -> str:
 def found_effects(diagnosis: Diagnosis, effects: tuple[str, ...]) -> FoundEffects:
     """Return what a diagnosis of a model with these effects found."""
     model = diagnosis.fit.model
-    changed = diagnosis.mode == "changed"
     path = diagnosis.shown[1]
     return FoundEffects(
         verdict=diagnosis.verdict,
         sentence=diagnosis.sentence,
-        proposed=tuple(_proposed(step, diagnosis.mode, path[-1]) for step in diagnosis.steps),
+        proposed=tuple(_proposed(step, path[-1]) for step in diagnosis.steps),
         effects=effects,
         unexplained=tuple(map(unexplained_sentence, diagnosis.unexplained)),
-        model=() if changed else tuple(p.label for p in model.placements),
+        model=tuple(p.label for p in model.placements),
         path=tuple(tuple(numbers_or_none(errors)) for errors in path),
         summary=diagnosis_summary(diagnosis),
     )
 
 
-def _proposed(step: Step, mode: str, errors: Array) -> ProposedEffect:
+def _proposed(step: Step, errors: Array) -> ProposedEffect:
     """Return a step for the page; ``errors`` (n,) are those of the final fit that it shows, N·m."""
     before, after = step.before, step.after
-    if mode == "missing" and step.fall.test is not None:  # as the list of joints: of the test
+    if step.fall.test is not None:  # as the list of joints: of the test
         after = float(errors[step.joint])
         before = after + step.fall.test
     return ProposedEffect(
@@ -274,6 +272,6 @@ def _proposed(step: Step, mode: str, errors: Array) -> ProposedEffect:
             for name, value in step.parameters.items()
         ),
         status=step.status,
-        sentence=finding([step], mode),
+        sentence=finding([step], "missing"),
         group=step.group,
     )

@@ -37,7 +37,6 @@ from lieid_casadi.workbench.workbench import Workbench
 
 SMALL_COLUMNS = 150  # of the plot of one joint in the overview
 HEADINGS = {
-    "new": "RMS error in motion on the new recordings",
     "held out": "RMS error in motion, cross-validated (no test)",
     "test": "RMS error in motion on the test",
 }

@@ -62,10 +62,6 @@ addEventListener('drop', (event) => {
   getElement(ID).$refs.qRef.addFiles(event.dataTransfer.files);
 });
 </script>"""
-MODES = {
-    "missing": "fit the model again",
-    "changed": "keep the fit: what has changed",
-}
 
 
 class OpenPanel(View):
@@ -108,8 +104,6 @@ class OpenPanel(View):
     def _robot_fields(self) -> None:
         ui.label("Robot or fit").classes("panel-title")
         self._robot = _field("URDF, MJCF, YAML or fit file, or a bundled name", "open-robot")
-        self._mode = ui.select(MODES, value="missing", label="with a fit").props("dense")
-        named(self._mode.classes("w-full"), "open-mode")
         effects = "effects; empty: coulomb, viscous, offset, or the fit's"
         self._effects = _field(effects, "open-effects")
         fields = list(OPTIONS.items())
@@ -142,7 +136,6 @@ class OpenPanel(View):
         inputs = self.workbench.session.inputs
         self._recordings = list(inputs.recordings)
         self._robot.value = inputs.fit or inputs.robot
-        self._mode.value = inputs.mode
         self._effects.value = ",".join(inputs.effects)
         for name, field in self._options.items():
             field.value = " ".join(dict(inputs.options).get(name, ()))
@@ -220,7 +213,6 @@ class OpenPanel(View):
         inputs = WorkbenchInputs(
             robot="" if is_fit else source,
             fit=source if is_fit else "",
-            mode=self._mode.value if is_fit else "missing",
             recordings=tuple(self._recordings),
             effects=tuple(e for e in (self._effects.value or "").split(",") if e.strip()),
             options=tuple(options),

@@ -119,15 +119,11 @@ class Toolbar(View):
         session, opened = workbench.session, workbench.opened
         if opened is not None:
             kinds = {"train": "fitted", "test": "test"}
-            if session.inputs.mode == "changed":
-                kinds["test"] = "new"
             both = zip(opened.recordings, session.inputs.recordings, strict=True)
             names = [f"{r.name} ({kinds[given.role]})" for r, given in both]
             set_text(self._what, f"{opened.robot}: {', '.join(names) or 'no recordings'}")
         searching = workbench.searching
         activity = self._show_progress()
-        changed = session.inputs.mode == "changed"
-        self._find.text = "Find what has changed" if changed else "Find what is missing"
         self._undo.set_enabled(session.can_undo)
         self._redo.set_enabled(session.can_redo)
         self._find.set_visibility(searching is None)

@@ -117,7 +117,7 @@ class TorquePlot(View):
             self._range.value = (
                 "" if view.selection is None else "{:.2f} {:.2f}".format(*view.selection)
             )
-        self._exclude.set_enabled(view.selection is not None and session.inputs.mode == "missing")
+        self._exclude.set_enabled(view.selection is not None)
         evaluation, compared = workbench.evaluation, workbench.compared
         if evaluation is None or opened is None or session.step is None:
             return

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from lieid_casadi.robot import Robot
 
 Role = Literal["train", "test"]
-Mode = Literal["missing", "changed"]
 Numbers = tuple[float | None, ...]  # one per joint, None where unknown
 Options = tuple[tuple[str, tuple[str, ...]], ...]
 Progress = Callable[[str, float], None]  # of a stage and the fraction done
@@ -49,15 +48,13 @@ class RecordingInput:
 class WorkbenchInputs:
     """What is open on a page.
 
-    ``robot`` is a path or bundled name, ``fit`` the path of a fit in its place. In the mode
-    ``missing`` the model is fitted to the training recordings; in ``changed`` the fit is kept, and
-    all recordings were measured after it. ``effects`` are those of the first model, of the fit if
-    empty. ``options`` are those of the command line: name without dashes, and values.
+    ``robot`` is a path or bundled name, ``fit`` the path of a fit in its place, whose model is
+    fitted again. ``effects`` are those of the first model, of the fit if empty. ``options`` are
+    those of the command line: name without dashes, and values.
     """
 
     robot: str = ""
     fit: str = ""
-    mode: Mode = "missing"
     recordings: tuple[RecordingInput, ...] = ()
     effects: tuple[str, ...] = ()
     options: Options = ()
@@ -69,7 +66,7 @@ class WorkbenchInputs:
             return "no robot; expected a file, or a bundled name such as panda"
         if not self.recordings:
             return "no recordings; expected at least one"
-        if self.mode == "missing" and not self.paths("train"):
+        if not self.paths("train"):
             return "no recording to fit; set at least one of them to “fit”"
         return ""
 
@@ -170,8 +167,8 @@ class ProposedEffect:
 class FoundEffects:
     """Result of a diagnosis of a model with ``effects``.
 
-    ``unexplained`` are sentences on the residual, ``model`` the effects of the final model (none if
-    a fit is kept), and ``path`` the unseen error of every joint after each step, N·m.
+    ``unexplained`` are sentences on the residual, ``model`` the effects of the final model, and
+    ``path`` the unseen error of every joint after each step, N·m.
     """
 
     verdict: str
@@ -262,9 +259,7 @@ class Session:
 
     @property
     def error_name(self) -> str:
-        """Of what the error is that the page shows: ``test``, ``held out``, or ``new``."""
-        if self.inputs.mode == "changed":
-            return "new"
+        """Of what the error is that the page shows: ``test`` or ``held out``."""
         return "test" if self.inputs.paths("test") else "held out"
 
     def opened(self, inputs: WorkbenchInputs, effects: Sequence[str]) -> Session:

@@ -92,7 +92,7 @@ class Workbench:
         self._filter: Processing | None = None  # of all fits of what is open
         self._results: dict[tuple[str, object], Any] = {}
         self._front = worker or Worker(setup)
-        self._back = Worker(setup)
+        self._back = Worker(setup, background=True)
         self._closed, self._completing = False, asyncio.Lock()
         self._unsaved: asyncio.TimerHandle | None = None
         self._listeners: list[Callable[[], None]] = []
@@ -227,9 +227,7 @@ class Workbench:
         if found is None or session.step is None:
             return
         chosen = [p for p in found.proposed if p.label in labels]
-        if not (
-            found.model and chosen == list(found.proposed) and session.step.effects == found.effects
-        ):
+        if chosen != list(found.proposed) or session.step.effects != found.effects:
             await self.apply(session.with_added(*labels))
             return
         count = len(chosen)  # all of them: the diagnosis' own fit
@@ -260,7 +258,7 @@ class Workbench:
             self._keep("evaluation", step, made)
 
     async def find_missing(self) -> None:
-        """Search for missing effects, or for changes since the fit."""
+        """Search for missing effects."""
         step, inputs = self.session.step, self.session.inputs
         if step is None or self.searching is not None:
             return
@@ -270,7 +268,7 @@ class Workbench:
             found, content = made
             self.session = replace(self.session, found=found)
             self._save()
-            if found.proposed and content:  # its fit is kept until its effects are added
+            if found.proposed:  # its fit is kept until its effects are added
                 final = replace(step, effects=found.model)
                 adopted = self._follow(self._front, "adopt", final, content=content)
                 self.background(adopted)

@@ -10,9 +10,12 @@ import logging
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -22,6 +25,8 @@ from lieid_casadi.errors import LieidError
 from lieid_casadi.workbench.session import Progress, WorkbenchInputs, WorkerSetup
 
 Task = Literal["opened", "premises", "evaluate", "find", "adopt", "motion", "curves", "save"]
+UNHURRIED = ("evaluate", "curves")  # tasks that nobody waits for, if a background worker has them
+NICE = 10  # of the threads that do them
 PR_SET_PDEATHSIG = 1  # of Linux's prctl: the signal that a process gets when its parent ends
 
 
@@ -33,6 +38,7 @@ class _Request:
     task: Task
     inputs: WorkbenchInputs
     arguments: dict[str, Any]
+    unhurried: bool
 
 
 @dataclass(frozen=True)
@@ -61,10 +67,13 @@ class _Waiting:
 
 
 class Worker:
-    """A process that computes; it is started with the first request, or by `start`."""
+    """A process that computes; it is started with the first request, or by `start`.
 
-    def __init__(self, setup: WorkerSetup) -> None:
-        self._setup = setup
+    That of a ``background`` worker leaves the processor to others while it computes `UNHURRIED`.
+    """
+
+    def __init__(self, setup: WorkerSetup, *, background: bool = False) -> None:
+        self._setup, self._background = setup, background
         self._numbers = itertools.count()
         self._waiting: dict[int, _Waiting] = {}
         self._process: BaseProcess | None = None
@@ -111,7 +120,8 @@ class Worker:
             self._listening = True
             listener = (loop, self._pipe, self._process)
             threading.Thread(target=self._listen, args=listener, daemon=True).start()
-        self._pipe.send(_Request(number, task, inputs, arguments))
+        unhurried = self._background and task in UNHURRIED
+        self._pipe.send(_Request(number, task, inputs, arguments, unhurried))
         return await waiting.result
 
     def stop(self) -> None:
@@ -209,7 +219,17 @@ def _answer(state: Any, request: _Request, pipe: Connection) -> Any:
         pipe.send(_Reply(request.number, "progress", (stage, fraction)))
 
     reports = {} if request.task in ("opened", "adopt", "motion") else {"report": report}
-    return getattr(state, request.task)(**request.arguments, **reports)
+    task = partial(getattr(state, request.task), **request.arguments, **reports)
+    if not request.unhurried:
+        return task()
+    with ThreadPoolExecutor(1, initializer=_low_priority) as pool:
+        return pool.submit(task).result()
+
+
+def _low_priority() -> None:
+    """Lower the priority of this thread, and of those that it starts, where threads have one."""
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
 
 
 def _failure(error: BaseException) -> str:

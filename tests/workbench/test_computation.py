@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from workbench.two_link_files import write_recordings
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import UsageError
@@ -162,24 +161,6 @@ def test_the_search_proposes_what_diagnose_finds(computation, first, two_link_fi
     test = lieid.Recording.load(two_link_files[1])
     assert shown.errors.shown == tuple(lieid.compare(lieid.Fit.load(path), test).rms_moving)
     assert computation.save(step, kind="fit", report=ignored) == ("fit.json", content)
-
-
-def test_what_has_changed_since_a_fit_is_listed(two_link_files, tmp_path):
-    old, _ = write_recordings(tmp_path, load_friction=0.0)
-    model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset")
-    fit = lieid.identify(model, lieid.Recording.load(old))
-    fit.save(tmp_path / "fit.json")
-    new = RecordingInput(str(two_link_files[1]), "test")
-    inputs = WorkbenchInputs(fit=str(tmp_path / "fit.json"), mode="changed", recordings=(new,))
-    computation = Computation(SETUP, inputs)
-    session = Session().opened(inputs, computation.opened().effects)
-    kept = evaluate(computation, session)
-    assert "systematic; “Find what has changed” searches" in kept.sentence
-    compared = lieid.compare(fit, lieid.Recording.load(new.path))
-    np.testing.assert_allclose(kept.errors.shown, compared.rms_moving)
-    found, _ = computation.find(session.step, report=ignored)
-    assert [p.label for p in found.proposed] == ["load_friction:1"]
-    assert "f_tau = 0.1" in found.proposed[0].value  # was simulated
 
 
 def test_lines_keep_the_extremes_of_every_pixel(computation, first, inputs):

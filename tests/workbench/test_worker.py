@@ -1,13 +1,19 @@
-"""A worker process ends with the server, whatever it computes."""
+"""A worker process ends with the server, and yields to others with what nobody waits for."""
 
+import asyncio
 import functools
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import pytest
+
+from lieid_casadi.workbench import computation
+from lieid_casadi.workbench.session import WorkbenchInputs, WorkerSetup
+from lieid_casadi.workbench.worker import NICE, Worker
 
 SECONDS = 60.0  # that the worker computes if nothing ends it
 
@@ -22,9 +28,6 @@ def hold(begun):
 
 def serve(begun):
     """Start a worker that computes; print its process."""
-    from lieid_casadi.workbench.session import WorkerSetup
-    from lieid_casadi.workbench.worker import Worker
-
     worker = Worker(WorkerSetup(prepare=functools.partial(hold, begun), robot=None, read=None))
     worker.start()
     os.write(1, f"{worker._process.pid}\n".encode())
@@ -59,3 +62,32 @@ def test_a_worker_that_computes_ends_with_its_server(tmp_path):
     while state(worker) != "Z":
         assert time.monotonic() - killed < 0.5 * SECONDS
         time.sleep(0.05)
+
+
+class Priority:
+    """In place of `Computation`: the priority of the thread that computes."""
+
+    def __init__(self, setup, inputs):
+        self.inputs = inputs
+
+    def evaluate(self, report):
+        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+    find = evaluate
+
+
+def prepare():
+    computation.Computation = Priority
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
+def test_what_nobody_waits_for_leaves_the_processor_to_others():
+    async def priorities(background):
+        worker = Worker(WorkerSetup(prepare=prepare, robot=None, read=None), background=background)
+        found = [await worker.request(t, WorkbenchInputs()) for t in ("evaluate", "find")]
+        worker.stop()
+        return found
+
+    own = os.getpriority(os.PRIO_PROCESS, 0)
+    assert asyncio.run(priorities(False)) == [own, own]
+    assert asyncio.run(priorities(True)) == [min(own + NICE, 19), own]
