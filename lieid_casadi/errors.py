@@ -185,10 +185,6 @@ class ConstantTorqueWarning(LieidWarning):
     """A joint's torque has the same value in every row: it was probably not recorded."""
 
 
-class VelocityMismatchWarning(LieidWarning):
-    """dq is not the derivative of q."""
-
-
 class JointStillWarning(LieidWarning):
     """A joint that never moves: its friction and most of its inertia are not identifiable."""
 
@@ -199,10 +195,6 @@ class TorqueClippedWarning(LieidWarning):
 
 class LowRateWarning(LieidWarning):
     """The rate is too low for the motion."""
-
-
-class UnitsWarning(LieidWarning):
-    """Values that may be in degrees; radians cannot be excluded."""
 
 
 class NotDissipativeWarning(LieidWarning):

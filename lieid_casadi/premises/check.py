@@ -21,6 +21,7 @@ from lieid_casadi.premises.rigid_columns import RigidArm
 from lieid_casadi.premises.screen import Alternative, Errors, Screen
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
+from lieid_casadi.recording.repairs import repaired
 from lieid_casadi.robot import Robot
 
 Progress = Callable[[str, float], None]
@@ -133,14 +134,15 @@ def check(
             break
         corrected.append(found)
         state = state.corrected(found[1])
-    findings += with_all_remedies(corrected, arm.n, given[0].corrections)
-    if any(finding.premise == "position_unit" for finding, _ in corrected):
+    corrections = with_all_remedies(corrected, arm.n, given[0].corrections)
+    known = any(finding.certain for finding in [*findings, *corrections])
+    mismatch = _mismatch(given_errors, state.confirmed.base, certain=not known)
+    if mismatch is None or not mismatch.certain:  # corrections of another arm are none
+        findings += corrections
+    if any(finding.premise == "position_unit" for finding in findings):
         findings = [f for f in findings if f.premise != "velocity_signal"]  # judged in that unit
     findings.sort(key=lambda f: (not f.certain, 1.0 if f.ratio is None else f.ratio))
-    hopeless = (match.unexplained(given_errors) or 0.0) > match.OTHER
-    hopeless &= not any(finding.certain for finding in findings)
-    # corrections that leave the arm unexplained are none
-    findings = [*_mismatch(state, hopeless), *findings]
+    findings = findings if mismatch is None else [mismatch, *findings]
     if torque_signal.from_model(state.confirmed):
         findings.append(FROM_MODEL)
     findings += match.same_motions(given, tests)
@@ -198,7 +200,8 @@ class _State:
     @classmethod
     def of(cls, robot: Robot, given: Sequence[Recording]) -> _State:
         """Return the recordings repaired, with stamps in a plausible unit."""
-        made = [samples.repaired_recording(r, robot) for r in given]
+        turning = np.array([joint.revolute for joint in robot.joints])
+        made = [repaired(recording, turning) for recording in given]
         findings = [finding for recording in made for finding in samples.damages(recording)]
         for k, recording in enumerate(made):
             made[k], frozen = samples.without_frozen_torque(recording)
@@ -250,7 +253,9 @@ def _strongest(state: _State, report: Progress, depth: int) -> tuple[Finding, Co
     tests = list(_alternatives(screen))
     for k, (name, make) in enumerate(tests):
         report(name, (0.1 + 0.85 * (depth + k / len(tests)) / DEPTH))
-        scored += [(screen.score(a.correction) + a.cost, a) for a in make]
+        made = list(make)
+        scores = screen.scores([a.correction for a in made])
+        scored += [(s + a.cost, a) for s, a in zip(scores, made, strict=True)]
     scored.sort(key=lambda pair: pair[0])
     for score, alternative in scored[:CONFIRMATIONS]:
         if score > WORTH_CONFIRMING:
@@ -405,37 +410,32 @@ def _velocity(state: _State) -> list[Finding]:
     return [replace(finding, certain=(finding.ratio or 1.0) <= WRONG)]
 
 
-def _mismatch(state: _State, hopeless: bool) -> list[Finding]:
-    """Return that the recording is of another arm, if no correction so far explains its torque.
+def _mismatch(given: Errors, last: Errors, *, certain: bool) -> Finding | None:
+    """Return that the recording is of another arm, if no correction explains its torque.
 
-    It is certain, too, if the robot as it is given is ``hopeless`` and no correction is certain.
+    ``given`` are the errors without corrections, ``last`` those with all that were found. It is
+    ``certain`` if they are large in both, too.
     """
-    errors = state.confirmed.base
-    found = match.mismatch(errors)
+    found = match.mismatch(last)
     if found is None:
-        return []
-    certain, part = found
-    certain |= hopeless
-    before = errors.rms[-1]
-    basis = "geometry" if errors.stated is None else "geometry and inertias"
-    what = "This is probably a recording of another arm"
-    if not certain:
-        j = int(np.argmax(before)) + 1
-        what = (
-            f"This may be a recording of another arm, of a load, or of other torques on joint {j}"
-        )
-    return [
-        Finding(
-            "robot_mismatch",
-            _most(-before / errors.scale),
-            {},
-            f"{what}: the stated {basis} leave {100.0 * part:.0f} % of the torque's rigid part "
-            "unexplained, whatever order, sign, zero, unit or mounting is assumed.",
-            "use the description of the arm that was recorded",
-            certain=certain,
-            error_before=_rounded(before),
-        )
-    ]
+        return None
+    certain = found[0] or (certain and (match.unexplained(given) or 0.0) > match.OTHER)
+    basis = "geometry" if last.stated is None else "geometry and inertias"
+    what = f"of a load, or of other torques on joint {int(np.argmax(last.rms[-1])) + 1}"
+    if certain:
+        what = "or several premises are wrong at once and cannot be separated"
+    return Finding(
+        "robot_mismatch",
+        _most(-last.rms[-1] / last.scale),
+        {},
+        f"This {'is' if certain else 'may be'} a recording of another arm, {what}: the stated "
+        f"{basis} leave {100.0 * found[1]:.0f} % of the torque's rigid part unexplained, whatever "
+        "order, sign, zero, unit or mounting is assumed.",
+        "use the description of the arm that was recorded, or state what is known of its mounting "
+        "and joints (--base-rpy, --joint-order, --joint-sign) and check again",
+        certain=certain,
+        error_before=_rounded(given.rms[-1]),
+    )
 
 
 def _not_checkable(state: _State, found: set[str], tested: bool) -> tuple[tuple[str, str], ...]:

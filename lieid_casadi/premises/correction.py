@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import linear_sum_assignment
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RecordingError
@@ -159,8 +161,6 @@ def shifted(t: Array, x: Array, late: float) -> Array:
     """Return x(t + late) (N, n), the ends held."""
     if len(t) < 4:
         return x
-    from scipy.interpolate import CubicSpline
-
     return np.asarray(CubicSpline(t, x)(np.clip(t + late, t[0], t[-1])))
 
 
@@ -220,11 +220,11 @@ def with_all_remedies(
     that.
     """
     unchanged = [finding for finding, _ in found]
-    whole = _Stated(n)
     corrections = [*(correction_of([text], n) for text in before), *(c for _, c in found)]
-    if len(corrections) < 2 or not all(whole.add(c) for c in corrections):
+    texts = options_of(reduce(Correction.then, corrections, Correction.none(n)))
+    if len(corrections) < 2 or texts is None:
         return unchanged
-    texts, earlier = whole.texts(), [text.split()[0] for text in before]
+    earlier = [text.split()[0] for text in before]
     made = []
     for finding in unchanged:
         names = dict.fromkeys([*re.findall(r"--[a-z-]+", finding.remedy), *earlier])
@@ -237,69 +237,52 @@ def with_all_remedies(
     return made
 
 
-class _Stated:
-    """Corrections one after the other, as those that the options state at once.
+def options_of(correction: Correction) -> dict[str, str] | None:
+    """Return the options that state a correction, by their names; None if options cannot.
 
-    Positions are coupled · sign · order, torques gain · order of what is recorded.
+    Positions are coupled · sign · order of those in rad, torques gain · order of what is recorded.
     """
-
-    def __init__(self, n: int) -> None:
-        self.order, self.sign, self.coupling = np.eye(n), np.eye(n), np.eye(n)
-        self.whole = Correction.none(n)
-
-    def add(self, later: Correction) -> bool:
-        """Add a correction; return whether options can still state all of them."""
-        x = later.position
-        if np.array_equal(x @ x.T, np.eye(len(x))) and np.all(x >= 0.0):  # an order
-            self.coupling, self.sign = x @ self.coupling @ x.T, x @ self.sign @ x.T
-            self.order = x @ self.order
-        elif np.array_equal(np.abs(x), np.eye(len(x))):
-            self.coupling, self.sign = x @ self.coupling @ x, x @ self.sign
-        elif np.array_equal(np.diag(x), np.ones(len(x))):
-            self.coupling = x @ self.coupling
-        else:  # degrees: --units converts them before everything else
-            return np.count_nonzero(x) == len(x) and not self.whole.zero.any()
-        self.whole = self.whole.then(later)
-        torque = self.whole.torque
-        return bool(np.all(np.count_nonzero(np.abs(torque) > 1e-9, axis=1) == 1))
-
-    def texts(self) -> dict[str, str]:
-        """Return the options by their names."""
-        n, whole, texts = len(self.sign), self.whole, dict[str, str]()
-
-        def state(name: str, values: Iterable[float] | Iterable[str]) -> None:
-            words = (x if isinstance(x, str) else f"{x + 0.0:.4g}" for x in values)
-            texts[name] = " ".join([name, *words])
-
-        if whole.gravity is not None and whole.gravity.any():
-            state("--base-rpy", base_rpy(whole.gravity))
-        if not np.array_equal(self.order, np.eye(n)):
-            state("--joint-order", np.argmax(self.order, axis=1) + 1.0)
-        if not np.array_equal(self.sign, np.eye(n)):
-            state("--joint-sign", np.diag(self.sign))
-        pairs = np.argwhere(self.coupling - np.eye(n))
-        if len(pairs):
-            signs = ("+" if self.coupling[i, j] > 0.0 else "-" for i, j in pairs)
-            words = [f"{i + 1}{s}{j + 1}" for (i, j), s in zip(pairs, signs, strict=True)]
-            state("--joint-coupling", words)
-        if whole.zero.any():
-            state("--joint-zero", whole.zero)
-        if whole.late:
-            state("--time-offset", [whole.late])
-        if whole.derive:
-            state("--derive-velocity", ())
-        source = np.argmax(np.abs(whole.torque), axis=1)
-        gain = whole.torque[np.arange(n), source]
-        if np.any(gain < 0.0):
-            state("--torque-sign", np.sign(gain))
-        currents = not np.allclose(np.abs(gain), 1.0)
-        if currents or np.any(source != np.arange(n)):
-            prefix = "i" if currents else "tau"
-            moved = [(i, k) for i, k in enumerate(source) if currents or i != k]
-            state("--columns", [",".join(f"{prefix}{i + 1}=tau{k + 1}" for i, k in moved)])
-        if currents:
-            state("--torque-constants", [",".join(f"{abs(g):.4g}" for g in gain)])
-        return texts
+    n = len(correction.zero)
+    position = correction.position / np.abs(correction.position).max(axis=0)  # --units converts
+    order = linear_sum_assignment(-np.abs(position))[1]
+    sign = np.sign(position[np.arange(n), order])
+    coupling = position[:, order] * sign - np.eye(n)
+    torque = position.T @ correction.torque_matrix
+    source = np.argmax(np.abs(torque), axis=1)
+    gain = torque[np.arange(n), source]
+    single = np.count_nonzero(np.abs(torque) > 1e-9, axis=1) == 1
+    if (
+        not single.all()
+        or not np.isin(coupling, (-1.0, 0.0, 1.0)).all()
+        or coupling.diagonal().any()
+    ):
+        return None
+    currents = not np.allclose(np.abs(gain), 1.0)
+    prefix = "i" if currents else "tau"
+    columns = [f"{prefix}{i + 1}=tau{k + 1}" for i, k in enumerate(source) if currents or i != k]
+    gravity = np.zeros(3) if correction.gravity is None else correction.gravity
+    stated: dict[str, list[Any]] = {
+        "--base-rpy": [*base_rpy(gravity)] if gravity.any() else [],
+        "--joint-order": [*order + 1] if np.any(np.diff(order) < 0) else [],
+        "--joint-sign": [*sign] if np.any(sign < 0.0) else [],
+        "--joint-coupling": [
+            f"{i + 1}{'+' if coupling[i, j] > 0.0 else '-'}{j + 1}"
+            for i, j in np.argwhere(coupling)
+        ],
+        "--joint-zero": [*correction.zero] if correction.zero.any() else [],
+        "--time-offset": [correction.late] if correction.late else [],
+        "--derive-velocity": [""] if correction.derive else [],
+        "--torque-sign": [*np.sign(gain)] if np.any(gain < 0.0) else [],
+        "--columns": [",".join(columns)] if columns else [],
+        "--torque-constants": [",".join(f"{abs(g):.4g}" for g in gain)] if currents else [],
+    }
+    return {
+        name: " ".join(
+            [name, *(x if isinstance(x, str) else f"{x + 0.0:.4g}" for x in values)]
+        ).strip()
+        for name, values in stated.items()
+        if values
+    }
 
 
 def _numbers(words: Sequence[str], count: int) -> Array:

@@ -69,12 +69,12 @@ def _best_order(
     """
     identity = tuple(range(screen.n))
     pairs = list(combinations(range(screen.n), 2))
-    tried = {p: screen.score(made(p)) for p in starts}
-    tried[identity] = 0.0
+    tried = {identity: 0.0}
+    tried |= zip(starts, screen.scores([made(p) for p in starts]), strict=True)
     best = min(tried, key=lambda p: tried[p])
     for _ in range(screen.n):
         near = [_exchanged(best, i, j) for i, j in pairs]
-        tried |= {p: screen.score(made(p)) for p in near}
+        tried |= zip(near, screen.scores([made(p) for p in near]), strict=True)
         step = min(near, key=lambda p: tried[p])
         if tried[step] > tried[best] - ALIKE:
             break
@@ -138,7 +138,8 @@ def zeros(screen: Screen) -> Iterator[Alternative]:
     n = screen.n
     turning = [j for j, joint in enumerate(screen.robot.joints) if joint.revolute]
     angles = [-NEAR_ZERO, NEAR_ZERO, *(k * ZERO_STEP for k in (-2, -1, 1, 2, 3))]
-    scores = np.array([[screen.score(zero_of(n, j, x)) for x in angles] for j in turning])
+    every = [zero_of(n, j, x) for j in turning for x in angles]
+    scores = screen.scores(every).reshape(len(turning), -1)
     best = sorted(
         (float(own.min()), j, k) for k, (j, own) in enumerate(zip(turning, scores, strict=True))
     )
@@ -148,10 +149,10 @@ def zeros(screen: Screen) -> Iterator[Alternative]:
         start = angles[int(np.argmin(scores[k]))]
         width = NEAR_ZERO if abs(start) == NEAR_ZERO else ZERO_STEP
 
-        def score(x: float, j: int = j) -> float:
-            return 0.0 if x == 0.0 else screen.score(zero_of(n, j, x))
+        def scored(values: Array, j: int = j) -> Array:
+            return screen.scores([zero_of(n, j, x) for x in values])
 
-        x = best_on(score, start + width * np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), rounds=4)
+        x = best_on(scored, start + width * np.array([-1.0, -0.5, 0.0, 0.5, 1.0]), rounds=4)
         x = float((x + np.pi) % (2.0 * np.pi) - np.pi)
         if abs(x) < LEAST_ZERO:
             continue
@@ -217,9 +218,9 @@ def alike(screen: Screen) -> str | None:
     """Return which joints the recording cannot distinguish, or None."""
     n = screen.n
     identity = tuple(range(n))
-    pairs = [
-        f"{i + 1} and {j + 1}"
-        for i, j in combinations(range(n), 2)
-        if abs(screen.score(reordered(n, _exchanged(identity, i, j)))) < ALIKE
+    pairs = list(combinations(range(n), 2))
+    scores = screen.scores([reordered(n, _exchanged(identity, i, j)) for i, j in pairs])
+    same = [
+        f"{i + 1} and {j + 1}" for (i, j), s in zip(pairs, scores, strict=True) if abs(s) < ALIKE
     ]
-    return f"joints {', '.join(pairs)} moved alike" if pairs else None
+    return f"joints {', '.join(same)} moved alike" if same else None

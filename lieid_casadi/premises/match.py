@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.premises.findings import Finding
@@ -16,8 +17,10 @@ from lieid_casadi.recording import Recording
 SOUND, OTHER = 0.3, 0.6
 #: Relative error of the free fit from which the geometry itself does not describe the torque.
 FREE_OTHER = 0.5
-#: Distance of two motions that counts as the same, as part of the range, and instants compared.
-SAME, INSTANTS = 1e-3, 2000
+#: Distance of two motions that counts as the same, and of one instant and a later one that counts
+#: as motion, as part of the range; the time between these, s; instants compared, and with which the
+#: motion is followed.
+SAME, MOVES, LATER, INSTANTS, DENSEST = 1e-3, 5e-3, 0.1, 1000, 100_000
 #: Part of a test's instants that repeat the training's from which they are one motion.
 LEAST_PART = 0.5
 
@@ -70,41 +73,31 @@ def same_motions(train: Sequence[Recording], tests: Sequence[Recording]) -> list
 
 
 def same_motion(train: Sequence[Recording], test: Recording) -> float:
-    """Return the part of a test's instants whose positions are those of a training recording."""
-    return max((_shared(recording, test) for recording in train), default=0.0)
+    """Return the part of a test's instants in motion that pass as one of a training recording.
 
-
-def _shared(train: Recording, test: Recording) -> float:
-    """Return the part of the test that follows the training at the best shift in time."""
-    if train.n != test.n:
-        return 0.0
-    step = max(test.duration / INSTANTS, 1.0 / test.rate)
-    t = np.arange(0.0, max(test.duration, train.duration), step)
+    Those pass where the training was, and both are in one place again a moment later: the same
+    way at another speed is another motion.
+    """
     span = np.maximum(np.ptp(test.q, axis=0), 1e-9)
-    a, b = (
-        np.stack(
-            [np.interp(t, r.t - r.t[0], x, left=np.nan, right=np.nan) for x in (r.q / span).T],
-            axis=1,
-        )
-        for r in (train, test)
+    way = _now_and_later(test, span, min(len(test), INSTANTS))
+    way = way[np.abs(np.diff(way.reshape(len(way), 2, -1), axis=1)).max(axis=(1, 2)) > MOVES]
+    best = 0.0
+    for recording in train:
+        if recording.n == test.n and len(way):
+            speed = np.abs(np.diff(recording.q, axis=0) / span).max(axis=1).sum()
+            near = _now_and_later(recording, span, int(np.clip(2.0 * speed / SAME, 2, DENSEST)))
+            distance, _ = cKDTree(near).query(way, p=np.inf, distance_upper_bound=SAME)
+            best = max(best, float(np.mean(np.isfinite(distance))))
+    return best
+
+
+def _now_and_later(recording: Recording, span: Array, count: int) -> Array:
+    """Return positions over a span at so many instants, and `LATER` seconds after each (N, 2 n)."""
+    t = np.linspace(recording.t[0], recording.t[-1] - LATER, count)
+    return np.hstack(
+        [
+            np.interp(x, recording.t, q)[:, None]
+            for x in (t, t + LATER)
+            for q in (recording.q / span).T
+        ]
     )
-    for r, x in ((train, a), (test, b)):
-        x[t > r.duration] = np.nan
-    shift = _best_shift(a, b)
-    a = np.roll(a, -shift, axis=0)
-    if shift > 0:
-        a[-shift:] = np.nan
-    elif shift < 0:
-        a[:-shift] = np.nan
-    with np.errstate(invalid="ignore"):
-        same = np.all(np.abs(a - b) < SAME, axis=1)
-    return float(same.sum() / max(int(np.isfinite(b[:, 0]).sum()), 1))
-
-
-def _best_shift(a: Array, b: Array) -> int:
-    """Return the shift in instants at which two motions correlate best."""
-    size = 2 * len(a)
-    x, y = (np.fft.rfft(np.nan_to_num(s - np.nanmean(s, axis=0)), size, axis=0) for s in (a, b))
-    correlation = np.fft.irfft(np.sum(x * np.conj(y), axis=1), size)
-    k = int(np.argmax(correlation))
-    return k if k < size // 2 else k - size

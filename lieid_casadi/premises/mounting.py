@@ -25,19 +25,19 @@ def alternatives(screen: Screen) -> Iterator[Alternative]:
     size = float(np.linalg.norm(screen.gravity))
     none = Correction.none(screen.n)
 
-    def score(direction: Array) -> float:
-        return screen.score(turned(none, size * direction))
+    def scored(directions: list[Array]) -> list[tuple[float, Array]]:
+        scores = screen.scores([turned(none, size * d) for d in directions])
+        return list(zip(scores.tolist(), directions, strict=True))
 
     grid = [d for d in _directions() if np.linalg.norm(size * d - screen.gravity) > 0.1 * size]
     start = screen.gravity / size
-    candidates = [(0.0, start), *((score(d), d) for d in grid)]
-    low, best = min(candidates, key=lambda found: found[0])
+    low, best = min([(0.0, start), *scored(grid)], key=lambda found: found[0])
     step = FIRST
     while step > LAST:
         around = np.linalg.svd(best[None])[2][1:]
         tried = [best + step * s * axis for axis in around for s in (-1.0, 1.0)]
         tried = [d / np.linalg.norm(d) for d in tried]
-        found = min(((score(d), d) for d in tried), key=lambda pair: pair[0])
+        found = min(scored(tried), key=lambda pair: pair[0])
         if found[0] < low:
             low, best = found
         else:

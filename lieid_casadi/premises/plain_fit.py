@@ -40,8 +40,8 @@ RIDGE = 1e-6
 LEAST_ERROR = 0.01
 #: Range of the filter's cut-off, Hz: rigid motion of an arm, not its vibration.
 LOWEST_CUTOFF, HIGHEST_CUTOFF = 1.0, 8.0
-#: Cut-off in sample rates, at most.
-CUTOFF_OVER_RATE = 0.15
+#: Cut-off in sample rates, at most, and the time from which it is chosen, s.
+CUTOFF_OVER_RATE, CUTOFF_SECONDS = 0.15, 20.0
 #: Range of the factor on the stated inertias' torque.
 LEAST_GAIN, LARGEST_GAIN = 0.5, 2.0
 #: A joint that moves less often than this is used at all instants.
@@ -119,7 +119,8 @@ def samples_of(recordings: Sequence[Recording], *, most: int = 2400) -> Samples:
     bare = [replace(r, dq=None, ddq=None, command=None, temperature=None) for r in recordings]
     for recording in bare:
         require_plausible_rate(recording.t, recording.title)
-    chosen = np.median([choose_cutoff(recording) for recording in bare])
+    longest = [max(r.segments(), key=lambda segment: segment.duration) for r in bare]
+    chosen = np.median([choose_cutoff(r.at(r.t <= r.t[0] + CUTOFF_SECONDS)) for r in longest])
     cutoff = float(np.clip(chosen, LOWEST_CUTOFF, HIGHEST_CUTOFF))
     cutoff = min(cutoff, CUTOFF_OVER_RATE * min(r.rate for r in recordings))
     segments = [

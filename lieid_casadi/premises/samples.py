@@ -16,8 +16,6 @@ from lieid_casadi.messages import joints_text
 from lieid_casadi.premises.findings import Finding
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.plausibility import clipped_joints
-from lieid_casadi.recording.repairs import repaired
-from lieid_casadi.robot import Robot
 
 #: Positions that repeat while the arm moves count as held from this part of the rows, and this
 #: many; an arm moves if it covers this angle within a quarter of a second, rad.
@@ -27,12 +25,6 @@ HELD, FEWEST_HELD, MOVES, WITHIN = 0.3, 20, 0.005, 0.25
 FROZEN, FAR_MOVED = 0.5, 0.05
 #: Outliers, which are left out on reading, from which the sensors are in doubt.
 FEWEST_OUTLIERS = 3
-
-
-def repaired_recording(recording: Recording, robot: Robot) -> Recording:
-    """Return the recording with continuous angles and without outliers, and its warnings."""
-    turning = np.array([joint.revolute for joint in robot.joints])
-    return Recording.of_measurement(repaired(recording, turning))
 
 
 def damages(recording: Recording) -> list[Finding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -31,6 +31,8 @@ LEAST_RELATIVE = 1e-4
 #: Least part of a joint's power that is friction, and of its standard deviation (jackknife), from
 #: which the sign of friction is clear.
 LEAST_POWER, CLEAR = 0.05, 5.0
+#: Hypotheses whose columns are computed at once.
+TOGETHER = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,21 +162,22 @@ class Screen:
         """Columns of the samples as they are, which serve all hypotheses on the torque alone."""
         return self._design(Correction.none(self.n), self.thin)
 
-    def _design(self, correction: Correction, s: Samples) -> Design:
-        return design(self.columns(correction), s, self.arm.kept // 10, parts=self.parts)
+    def _design(self, correction: Correction, s: Samples, columns: Array | None = None) -> Design:
+        columns = self.columns(correction) if columns is None else columns
+        return design(columns, s, self.arm.kept // 10, parts=self.parts)
 
     @cached_property
     def base(self) -> Errors:
         """Errors of the hypothesis that nothing is wrong."""
         return self.errors(Correction.none(self.n))
 
-    def errors(self, correction: Correction) -> Errors:
-        """Return the errors under a correction."""
+    def errors(self, correction: Correction, columns: Array | None = None) -> Errors:
+        """Return the errors under a correction, whose columns (n, k, N) may be given."""
         if correction.torque_only:
             s, made = replace(self.thin, tau=self._torque(correction)), self.design
         else:
             s = self.thin if correction.signals_stay else correction.of_samples(self.thin)
-            made = self._design(correction, s)
+            made = self._design(correction, s, columns)
         given = made.equations(s.tau)
         stated = None if self.parameters is None else stated_fit(given, self.parameters)
         fitted = free_fit(given)
@@ -210,14 +213,27 @@ class Screen:
 
     def score(self, correction: Correction) -> float:
         """Return the score of a correction: negative where errors fall."""
-        if correction.key not in self._scores:
-            self._scores[correction.key] = self.errors(correction).score(self.base)
-        return self._scores[correction.key]
+        return float(self.scores([correction])[0])
+
+    def scores(self, corrections: Sequence[Correction]) -> Array:
+        """Return the scores of corrections; the columns of several are computed together."""
+        new = {c.key: c for c in corrections if c.key not in self._scores}
+        moved = [c for c in new.values() if not c.positions_stay and c.gravity is None]
+        for batch in (moved[k : k + TOGETHER] for k in range(0, len(moved), TOGETHER)):
+            motion = np.stack([c.of_motion(self.thin) for c in batch], axis=1)
+            q, dq, ddq = motion.reshape(3, -1, self.n)
+            made = self.arm.columns(q, dq, ddq, self.gravity)
+            for c, columns in zip(batch, np.split(made, len(batch), axis=2), strict=True):
+                self._scores[c.key] = self.errors(c, columns).score(self.base)
+        for key, c in new.items():
+            if key not in self._scores:
+                self._scores[key] = self.errors(c).score(self.base)
+        return np.array([self._scores[c.key] for c in corrections])
 
 
-def best_on(function: Callable[[float], float], grid: Array, *, rounds: int = 2) -> float:
+def best_on(function: Callable[[Array], Array], grid: Array, *, rounds: int = 2) -> float:
     """Return the grid's best value, refined by parabolas through its neighbours."""
-    values = np.array([function(x) for x in grid])
+    values = function(grid)
     k = int(np.argmin(values))
     if not 0 < k < len(grid) - 1:
         return float(grid[k])
@@ -229,9 +245,8 @@ def best_on(function: Callable[[float], float], grid: Array, *, rounds: int = 2)
             break
         step = float(np.clip(-0.5 * b / a, xs[0] - best, xs[2] - best))
         width = 0.25 * (xs[2] - xs[0])
-        centre = best + step
-        xs = np.array([centre - width, centre, centre + width])
-        fs = np.array([function(x) for x in xs])
+        xs = best + step + np.array([-width, 0.0, width])
+        fs = function(xs)
         if fs.min() < low:
             best, low = float(xs[np.argmin(fs)]), float(fs.min())
     return best

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.signal import lfilter
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.premises.correction import Correction, shifted
 from lieid_casadi.premises.findings import Finding
 from lieid_casadi.premises.plain_fit import Index, Mask, Samples
@@ -49,16 +50,16 @@ def delays(screen: Screen) -> Iterator[Alternative]:
     """Yield the time by which the torque is late."""
     n = screen.n
 
-    def score(late: float) -> float:
-        return 0.0 if abs(late) < 1e-6 else screen.score(replace(Correction.none(n), late=late))
+    def scores(late: Array) -> Array:
+        return screen.scores([replace(Correction.none(n), late=float(x)) for x in late])
 
-    values = np.array([score(float(x)) for x in DELAYS])
+    values = scores(DELAYS)
     k = int(np.argmin(values))
     if values[k] > -0.02 * n and k == len(DELAYS) // 2:
         around = DELAYS[k - 1 : k + 2]
     else:
         around = DELAYS[max(k - 1, 0) : k + 2]
-    late = best_on(score, np.sort(np.r_[around, 0.5 * (around[1:] + around[:-1])]), rounds=2)
+    late = best_on(scores, np.sort(np.r_[around, 0.5 * (around[1:] + around[:-1])]), rounds=2)
     if abs(late) < LEAST_DELAY:
         return
     words = "late" if late > 0.0 else "early"
@@ -187,16 +188,20 @@ def _lag(s: Samples, joints: Index) -> tuple[str, float, float]:
     best = []
     for kind, first_order in (("low-pass filtered", True), ("delayed", False)):
         logs = np.log(CONSTANTS)
-        error = partial(_error_of_lag, s, joints, first_order)
-        x = np.exp(best_on(error, logs, rounds=3))
-        best.append((error(float(np.log(x))), kind, float(x)))
+        error = partial(_errors_of_lag, s, joints, first_order)
+        x = best_on(error, logs, rounds=3)
+        best.append((float(error(np.array([x]))[0]), kind, float(np.exp(x))))
     left, kind, seconds = min(best)
     return kind, seconds, left
 
 
-def _error_of_lag(s: Samples, joints: Index, first_order: bool, log_seconds: float) -> float:
-    """Return the relative error of the recorded velocity as the lagged true one."""
-    seconds, rest, size = float(np.exp(log_seconds)), 0.0, 0.0
+def _errors_of_lag(s: Samples, joints: Index, first_order: bool, log_seconds: Array) -> Array:
+    """Return the relative errors of the recorded velocity as the true one, lagged by each time."""
+    return np.array([_error_of_lag(s, joints, first_order, float(x)) for x in np.exp(log_seconds)])
+
+
+def _error_of_lag(s: Samples, joints: Index, first_order: bool, seconds: float) -> float:
+    rest, size = 0.0, 0.0
     for stretch in np.unique(s.segment):
         at = np.flatnonzero(s.segment == stretch)
         if len(at) < 8:

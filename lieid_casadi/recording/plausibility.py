@@ -22,8 +22,6 @@ from lieid_casadi.errors import (
     LowRateWarning,
     RecordingError,
     TorqueClippedWarning,
-    UnitsWarning,
-    VelocityMismatchWarning,
 )
 from lieid_casadi.messages import joints_text
 from lieid_casadi.recording.measurement import require_sound
@@ -44,14 +42,14 @@ from lieid_casadi.robot.robot import Robot
 def check(recording: Recording, robot: Robot | None = None) -> tuple[LieidWarning, ...]:
     """Return the warnings of a recording, checked against a robot where one is given.
 
-    The recording's own warnings come first, then dropouts and irregular stamps, units and limits,
-    velocity against position, joints at rest, rate, torque.
+    The recording's own warnings come first, then dropouts and irregular stamps, limits, joints at
+    rest, rate, torque.
 
     Raises
     ------
     RecordingError
         What is certainly wrong: NaN or Inf, time that does not increase or is not in seconds,
-        another number of joints, degrees.
+        another number of joints, degrees, velocities in other units.
     """
     require_sound(recording)
     require_plausible_rate(recording.t, recording.title)
@@ -60,11 +58,12 @@ def check(recording: Recording, robot: Robot | None = None) -> tuple[LieidWarnin
             f"{recording.title}: found {recording.n} joints "
             f"(q1…q{recording.n}), expected {robot.n} as the robot {robot.name} has"
         )
+    units = check_units(recording, robot)
+    require_velocity_units(recording)
     return (
         *recording.warnings,
         *check_time(recording),
-        *check_units(recording, robot),
-        *check_velocity(recording),
+        *units,
         *check_still(recording, robot),
         *check_rate(recording),
         *check_torque(recording, robot),
@@ -75,9 +74,6 @@ def check(recording: Recording, robot: Robot | None = None) -> tuple[LieidWarnin
 FAR_BEYOND = 2.0
 #: Two turns: without stated limits, half of the joints beyond this means degrees.
 TWO_TURNS = 4.0 * np.pi
-#: Faster than the joints of any arm, rad/s; for warnings only.
-FASTEST = 30.0
-REMEDY = "convert with --units deg (units='deg' in Python)"
 
 
 def require_plausible_units(recording: Recording, robot: Robot | None = None) -> None:
@@ -87,7 +83,7 @@ def require_plausible_units(recording: Recording, robot: Robot | None = None) ->
 
 
 def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
-    """Refuse degrees; warn where values look like degrees or leave the robot's limits."""
+    """Refuse degrees; warn where positions leave the robot's limits."""
     title = recording.title
     revolute, lower, upper = np.ones(recording.n, dtype=bool), *np.full((2, recording.n), np.nan)
     if robot is not None:
@@ -95,52 +91,30 @@ def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]
         lower, upper = robot.limit("position_lower"), robot.limit("position_upper")
     largest = np.max(np.abs(recording.q), axis=0)
     stated = revolute & np.isfinite(lower) & np.isfinite(upper)
-    reach = np.maximum(np.abs(lower), np.abs(upper))
-    far = stated & (largest > FAR_BEYOND * reach + 0.5)
-    if far.any() and (far.sum() >= 2 or stated.sum() <= 2 or np.any(largest > 10.0 * reach)):
-        joint = int(np.argmax(np.where(far, largest / reach, 0.0)))
-        raise RecordingError(
-            f"{title}: column q{joint + 1}: found {largest[joint]:.4g} where the robot's limits "
-            f"are {lower[joint]:.4g} to {upper[joint]:.4g} rad, expected radians; if these are "
-            f"degrees, {REMEDY}"
-        )
+    reach = np.where(stated, np.maximum(np.abs(lower), np.abs(upper)), np.inf)
+    far = largest > FAR_BEYOND * reach + 0.5
+    sure = far.sum() >= 2 or stated.sum() <= 2 or np.any(largest > 10.0 * reach)
     free = revolute & ~stated
-    if free.sum() >= 2 and np.median(largest[free]) > TWO_TURNS:
-        joint = int(np.argmax(np.where(free, largest, 0.0)))
+    turns = free.sum() >= 2 and np.median(largest[free]) > TWO_TURNS
+    if turns or (far.any() and sure):
+        joint = int(np.argmax(np.where(free, largest, 0.0) if turns else largest / reach))
+        limits = f" where the robot's limits are {lower[joint]:.4g} to {upper[joint]:.4g} rad"
         raise RecordingError(
-            f"{title}: column q{joint + 1}: found {largest[joint]:.4g}, "
-            f"{largest[joint] / (2.0 * np.pi):.0f} turns, expected radians; if these are degrees, "
-            f"{REMEDY}"
-        )
-    found: list[LieidWarning] = []
-    turns = free & (largest > TWO_TURNS)
-    speed = np.zeros(recording.n) if recording.dq is None else np.max(np.abs(recording.dq), axis=0)
-    fast = revolute & (speed > FASTEST)
-    if turns.any():
-        found.append(
-            UnitsWarning(
-                f"{title}: positions of {joints_text(turns)} exceed two turns "
-                f"({largest[turns].max():.4g} rad); if these are degrees, {REMEDY}"
-            )
-        )
-    elif fast.any():
-        found.append(
-            UnitsWarning(
-                f"{title}: {joints_text(fast)} reach {speed[fast].max():.4g} rad/s; if these are "
-                f"degrees per second, {REMEDY}"
-            )
+            f"{title}: column q{joint + 1}: found {largest[joint]:.4g}{'' if turns else limits}, "
+            "expected radians; if these are degrees, convert with --units deg (units='deg' in "
+            "Python)"
         )
     with np.errstate(invalid="ignore"):
         over = np.maximum(recording.q.max(axis=0) - upper, lower - recording.q.min(axis=0))
         outside = over > 0.02
-    if outside.any():
-        found.append(
-            JointLimitWarning(
-                f"{title}: positions of {joints_text(outside)} exceed the robot's limits by up to "
-                f"{over[outside].max():.3g}: check the zero pose, the robot and the unit"
-            )
+    if not outside.any():
+        return []
+    return [
+        JointLimitWarning(
+            f"{title}: positions of {joints_text(outside)} exceed the robot's limits by up to "
+            f"{over[outside].max():.3g}: check the zero pose, the robot and the unit"
         )
-    return found
+    ]
 
 
 #: Mean step over median step beyond which stamps come in clusters.
@@ -239,11 +213,14 @@ def unit_of_velocity(recording: Recording) -> tuple[str, float] | None:
     return None
 
 
-def check_velocity(recording: Recording) -> list[LieidWarning]:
-    """Compare the integral of dq with q."""
-    found, title = _velocity_gains(recording), recording.title
+def require_velocity_units(recording: Recording) -> None:
+    """Refuse velocities that are the derivative of the positions in other units.
+
+    Any other velocity that is not the derivative is a premise (`lieid_casadi.premises.timing`).
+    """
+    found = _velocity_gains(recording)
     if found is None:
-        return []
+        return
     meanings = ANGLE_RATIOS | {
         f"t in {name}: convert with --units {unit}": 1.0 / TIME_UNITS[unit]
         for unit, name in TIME_NAMES.items()
@@ -252,18 +229,9 @@ def check_velocity(recording: Recording) -> list[LieidWarning]:
         joint = found.joint_with(ratio)
         if joint is not None:
             raise RecordingError(
-                f"{title}: column dq{joint + 1}: found {found.gain[joint]:.3g} times the "
+                f"{recording.title}: column dq{joint + 1}: found {found.gain[joint]:.3g} times the "
                 f"derivative of q{joint + 1}, expected 1; this looks like {meaning}"
             )
-    gain, correlation, moving = found.gain, found.correlation, found.moving
-    wrong = moving & ((correlation < 0.9) | (np.abs(np.log(np.maximum(gain, 1e-12))) > 0.22))
-    if not wrong.any():
-        return []
-    details = ", ".join(
-        f"joint {j + 1} (gain {gain[j]:.2g}, correlation {correlation[j]:.2g})"
-        for j in np.nonzero(wrong)[0].tolist()
-    )
-    return [VelocityMismatchWarning(f"{title}: dq is not the derivative of q: {details}")]
 
 
 def check_still(recording: Recording, robot: Robot | None) -> list[LieidWarning]:

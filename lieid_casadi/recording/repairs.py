@@ -120,7 +120,7 @@ def _repetitions(measurement: Measurement) -> Mask:
     return same
 
 
-def repaired(measurement: Measurement, revolute: Mask | None = None) -> Measurement:
+def repaired(measurement: Measured, revolute: Mask | None = None) -> Measured:
     """Return a measurement, whose rows are sound, with continuous angles and without outliers.
 
     ``revolute`` (n,) marks the joints that turn; None: all of them.
@@ -135,7 +135,7 @@ def _steps(measurement: Measurement, x: Array) -> Array:
     return np.diff(x, axis=0) * inside[:, None]
 
 
-def _continuous(measurement: Measurement, turning: Mask) -> Measurement:
+def _continuous(measurement: Measured, turning: Mask) -> Measured:
     """Take the turns out of angles that jump by one between two samples."""
     changed = {}
     joints, samples = np.zeros(measurement.n, dtype=bool), 0
@@ -165,7 +165,7 @@ def _continuous(measurement: Measurement, turning: Mask) -> Measurement:
     return replace(measurement, warnings=(*measurement.warnings, warning), **changed)
 
 
-def _without_outliers(measurement: Measurement) -> Measurement:
+def _without_outliers(measurement: Measured) -> Measured:
     """Leave out rows where one sample of a signal lies far from both of its neighbours."""
     if len(measurement) < ENOUGH_ROWS:
         return measurement

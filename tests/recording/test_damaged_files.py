@@ -212,11 +212,6 @@ def test_a_missing_column_is_named(tmp_path, missing):
     assert text.endswith(f"expected {stem}1…{stem}6")
 
 
-def test_six_columns_for_a_seven_joint_robot(tmp_path):
-    text = message(tmp_path, "t,q1,q2\n0,1,2\n1,2,3\n", n=3)
-    assert text == "line 1: found 2 joints (q1…q2), expected 3"
-
-
 def test_a_truncated_gzip(tmp_path):
     import gzip
 

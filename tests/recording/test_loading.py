@@ -1,5 +1,4 @@
 import hashlib
-import json
 
 import numpy as np
 import pandas as pd
@@ -119,13 +118,6 @@ def test_shapes_that_do_not_fit(field, values, message):
         Recording.from_arrays(**arguments)
 
 
-def test_an_archive_with_pickled_objects_is_refused(tmp_path):
-    file = tmp_path / "run.npz"
-    np.savez(file, t=np.arange(2.0), q=np.array([[object()], [object()]]))
-    with pytest.raises(RecordingError, match="not an NPZ of plain arrays"):
-        Recording.load(file)
-
-
 def test_archive_faults(tmp_path):
     file = tmp_path / "run.npz"
     np.savez(file, t=np.arange(2.0))
@@ -178,33 +170,6 @@ def files(tmp_path_factory):
     return folder
 
 
-def identified(files, name, *options):
-    """Exit code and fit; the recorded arm is heavier than two_link states."""
-    out = files / "fit.json"
-    arguments = ["two_link", str(files / name), "-o", str(out), "--despite-check"]
-    status = main(["identify", *arguments, *options])
-    return status, json.loads(out.read_text()) if status == 0 else None
-
-
-def test_units(files, capsys):
-    options = ["--cutoff", "5", "--effects", "coulomb"]
-    status, expected = identified(files, "si.csv.gz", *options)
-    assert status == 0
-    status, found = identified(files, "degrees.csv.gz", *options, "--units", "deg,ms")
-    assert status == 0
-    np.testing.assert_allclose(found["values"], expected["values"], rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize(("options", "unit"), [([], "ms"), (["--units", "ms"], "deg")])
-def test_a_prediction_from_other_units_is_refused(files, capsys, options, unit):
-    assert identified(files, "si.csv.gz", "--cutoff", "5", "--effects", "coulomb")[0] == 0
-    capsys.readouterr()
-    arguments = [str(files / "fit.json"), str(files / "degrees.csv.gz")]
-    assert main(["predict", *arguments, "-o", str(files / "p.csv"), *options]) == 2
-    assert f"convert with --units {unit}" in capsys.readouterr().err
-    assert not (files / "p.csv").exists()
-
-
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
@@ -214,8 +179,8 @@ def test_a_prediction_from_other_units_is_refused(files, capsys, options, unit):
     ],
 )
 def test_refusals(files, capsys, name, options, message):
-    (files / "fit.json").unlink(missing_ok=True)
-    assert identified(files, name, *options)[0] == 2
+    arguments = ["two_link", str(files / name), "-o", str(files / "fit.json")]
+    assert main(["identify", *arguments, *options]) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1

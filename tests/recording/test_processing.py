@@ -34,15 +34,6 @@ def test_motion_is_recovered(processed):
     assert np.all(error < 0.01 * ddq.std(axis=0))
 
 
-def test_velocity_and_acceleration_are_derived_where_missing():
-    full = measured(noise=0.2)
-    bare = one(Recording.from_arrays(full.t, full.q, tau=full.tau), cutoff=5.0)
-    _, dq, ddq = motion(bare.t)
-    inner = slice(100, -100)
-    np.testing.assert_allclose(bare.dq[inner], dq[inner], atol=0.01)
-    assert np.all((bare.filter(bare.ddq) - bare.filter(ddq)).std(axis=0) < 0.02)
-
-
 def test_the_same_friction_comes_back_from_regular_and_irregular_stamps():
     for jitter in (0.0, 0.9):
         p = one(measured(jitter=jitter), cutoff=6.0)
@@ -66,33 +57,7 @@ def test_torque_and_columns_go_through_the_same_filter(processed):
     np.testing.assert_allclose(filtered @ beta, processed.filter(columns @ beta), atol=1e-12)
 
 
-@pytest.mark.parametrize("frequency", [0.3, 1.0, 2.0])
-def test_a_sine_passes_unshifted(processed, frequency):
-    sine = np.sin(2 * np.pi * frequency * processed.t)
-    expected = np.sin(2 * np.pi * frequency * processed.filtered_time)
-    np.testing.assert_allclose(processed.filter(sine), expected, atol=2e-3)
-
-
-def test_half_a_second_is_trimmed_and_the_band_is_kept(processed):
-    assert processed.filtered_time[0] == pytest.approx(processed.t[0] + 0.5, abs=0.01)
-    assert processed.filtered_time[-1] == pytest.approx(processed.t[-1] - 0.5, abs=0.06)
-    assert 1.0 / np.diff(processed.filtered_time).max() >= 4 * processed.cutoff * (1 - 1e-9)
-
-
 # -- rate, rest, segments -------------------------------------------------------------
-
-
-def test_a_high_rate_is_brought_down_but_stays_above_twenty_cutoffs():
-    recording = measured(duration=6, rate=5000)
-    p = one(recording, cutoff=10.0)
-    assert 200 <= p.rate < 400
-    tau = p.filter(p.tau)
-    assert np.all(np.isfinite(tau))
-    exact = one(measured(duration=6, rate=400, noise=0), cutoff=10.0)
-    reference = np.column_stack(
-        [np.interp(p.filtered_time, exact.filtered_time, x) for x in exact.filter(exact.tau).T]
-    )
-    assert np.sqrt(np.mean((tau - reference) ** 2)) < 0.15
 
 
 def test_noise_above_the_new_nyquist_does_not_fold_back():
@@ -162,29 +127,6 @@ def test_segments_too_short_for_trimming():
 def test_a_cutoff_that_the_rate_cannot_show():
     with pytest.raises(RecordingError, match=r"cutoff 30 Hz, expected less than 22\.5 Hz"):
         process(measured(rate=50), Processing(cutoff=30.0))
-
-
-@pytest.mark.parametrize(
-    "options",
-    [{"cutoff": 0}, {"cutoff": np.nan}, {"trim": -1}],
-)
-def test_bad_options(options):
-    with pytest.raises(RecordingError, match=next(iter(options))):
-        Processing(**options)
-
-
-def test_one_cutoff_for_all_recordings():
-    slow, fast = measured(), measured(seed=1)
-    both = process([slow, fast])
-    assert both[0].cutoff == both[1].cutoff == both[0].options.cutoff
-
-
-def test_temperature_and_missing_torque():
-    t = np.arange(0, 5, 0.01)
-    heat = np.column_stack([20 + t, 30 - t])
-    p = one(Recording.from_arrays(t, motion(t)[0], temperature=heat), cutoff=5.0)
-    np.testing.assert_allclose(p.temperature[:, 0], 20 + p.t, atol=1e-9)
-    assert p.tau is None
 
 
 @pytest.mark.parametrize(

@@ -45,19 +45,6 @@ def test_coarse_encoders_do_not_widen_the_band(seed):
     assert coarse == pytest.approx(fine, abs=0.3)
 
 
-def test_cutoff_stays_below_nyquist_and_has_two_digits():
-    assert choose_cutoff(measured(rate=10)) <= 2.5
-    cutoff = choose_cutoff(measured())
-    assert float(f"{cutoff:.2g}") == cutoff
-
-
-def test_an_arm_at_rest_has_no_band():
-    t = np.arange(0, 4, 0.01)
-    rest = Recording.from_arrays(t, np.zeros((400, 2)))
-    assert motion_band(rest) is None
-    assert choose_cutoff(rest) == 5.0
-
-
 @pytest.mark.parametrize("period", [3.21, PERIOD, 9.87])
 @pytest.mark.parametrize("jitter", [0.0, 0.8])
 def test_period_is_found_to_a_millisecond(period, jitter):
