@@ -19,7 +19,6 @@ from lieid_casadi.discrimination.rival_effects import fitted_numbers
 from lieid_casadi.errors import EffectError, LieidError, NoSolution
 from lieid_casadi.excitation import excite, friction_sweep
 from lieid_casadi.excitation.checks import verify
-from lieid_casadi.excitation.criteria import CriterionName
 from lieid_casadi.excitation.limits import Limit, MotionRange, motion_range, on_arm
 from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.excitation.trajectory import MotionSamples, csv_text
@@ -162,11 +161,9 @@ class MotionDesign:
         elif purpose.kind == "range":
             fit = identify(self.model, recordings)  # shapes cannot be extrapolated
             main, promise = self._ranging(purpose, number, fit, progress)
-        elif purpose.kind == "parameters":
-            main, promise = self._exciting(fit, number, "logdet", progress)
         else:
-            main, promise, worth = self._first_excitation(found, recordings, number, progress)
-            if worth < WORTH:
+            main, promise, worth = self._informative(found, recordings, number, progress)
+            if purpose.kind == "excitation" and worth < WORTH:
                 return None
             fit = self.fit
         whole, arm = joined(self.probe, main), None if fit is None else FittedArm.of(fit)
@@ -177,7 +174,7 @@ class MotionDesign:
             verified.checked, verified.unchecked, folder,
         )  # fmt: skip
 
-    def _first_excitation(
+    def _informative(
         self, found: Fit | None, recordings: Sequence[Recording], number: int, progress: Progress
     ) -> tuple[MotionSamples, str, float]:
         """Return the excitation that is expected to show most per second, and its `precision_gain`.
@@ -187,12 +184,12 @@ class MotionDesign:
         the torque of larger motion: ``found`` is not used for the limits.
         """
         if found is None:
-            return *self._exciting(self.fit, number, "combined", progress), np.inf
+            return *self._exciting(self.fit, number, progress), np.inf
         before = information(found, [s for r in recordings for s in process(r, found.processing)])
         known, probe = sum(r.duration for r in recordings) * before, float(self.probe.t[-1])
         best, most = None, -np.inf
         for parts in (p for p in PARTS if p == 1 or self.seconds / p >= LEAST_SECONDS):
-            main, text = self._exciting(self.fit, number, "combined", progress, parts=parts)
+            main, text = self._exciting(self.fit, number, progress, parts=parts)
             rate, seconds = information(found, [main]), float(main.t[-1])
             per_second = precision_gain(known, known + seconds * rate) / (probe + seconds)
             if per_second > most:
@@ -201,20 +198,13 @@ class MotionDesign:
         return best
 
     def _exciting(
-        self,
-        fit: Fit | None,
-        number: int,
-        criterion: CriterionName,
-        progress: Progress,
-        *,
-        parts: int = 1,
+        self, fit: Fit | None, number: int, progress: Progress, *, parts: int = 1
     ) -> tuple[MotionSamples, str]:
         """Return an excitation of all parameters."""
         design = excite(
             self.model if fit is None else fit,
-            criterion=criterion, duration=self.seconds / parts, harmonics=HARMONICS,
-            starts=EXCITATION_STARTS, seed=self.seed + 10 * number, progress=progress,
-            **self._shared,
+            duration=self.seconds / parts, harmonics=HARMONICS, starts=EXCITATION_STARTS,
+            seed=self.seed + 10 * number, progress=progress, **self._shared,
         )  # fmt: skip
         return design.motion(), f"Condition number {design.condition_number:.3g}."
 
@@ -236,7 +226,7 @@ class MotionDesign:
                 if sweep.motion.t[-1] <= self.seconds:
                     count = len(sweep.parts) // 2
                     return sweep.motion, f"{count} speeds of joint {joint + 1}, forward and back."
-        return self._exciting(fit, number, "combined", progress)
+        return self._exciting(fit, number, progress)
 
     def _separating(
         self,

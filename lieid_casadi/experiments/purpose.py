@@ -9,6 +9,7 @@ from typing import Literal
 
 from lieid_casadi.diagnosis import Diagnosis
 from lieid_casadi.diagnosis.findings import difference_sentence
+from lieid_casadi.diagnosis.step import Step
 
 Group = tuple[str, ...]
 Kind = Literal["excitation", "rivals", "range", "parameters"]
@@ -27,7 +28,7 @@ class Purpose:
     kind : str
         ``excitation`` (all parameters), ``rivals`` (to separate the effects of each group),
         ``range`` (of ``signals``, where no effect describes the error) or ``parameters`` (of
-        effects with uncertain coefficients).
+        effects with uncertain coefficients, or that parts of the data do not show).
     groups : tuple of tuple of str
         Labels of the effects that are open, such as ``stribeck:2``, the one in the model first;
         with ``range`` such as ``joint 2``.
@@ -68,16 +69,21 @@ def purposes(diagnosis: Diagnosis | None, asked: Sequence[Purpose]) -> list[Purp
         text = ", ".join(joint for (joint,) in groups)
         why = f"No effect of the library describes the error of {text} over {', '.join(signals)}."
         found.append(Purpose("range", groups, signals, why))
-    uncertain = [
-        (step.label,)
-        for step in diagnosis.steps
-        if step.status != "shape"
-        and all(step.std[k] > UNCERTAIN * abs(v) for k, v in step.parameters.items())
-    ]
+    uncertain = [(step.label,) for step in diagnosis.steps if _is_uncertain(step)]
     if groups := new("parameters", uncertain):
         text = ", ".join(label for (label,) in groups)
-        found.append(Purpose("parameters", groups, why=f"The size of {text} is uncertain."))
+        why = f"The recordings do not suffice to be certain of {text}."
+        found.append(Purpose("parameters", groups, why=why))
     return found
+
+
+def _is_uncertain(step: Step) -> bool:
+    """Whether an effect has an uncertain size, or is not found without a part of the data."""
+    if step.status == "shape":
+        return False
+    if step.status == "one_of" and not step.rivals:
+        return True
+    return all(step.std[k] > UNCERTAIN * abs(v) for k, v in step.parameters.items())
 
 
 def open_groups(diagnosis: Diagnosis) -> list[Group]:
@@ -114,6 +120,8 @@ def remaining(diagnosis: Diagnosis) -> list[str]:
         group = [step.label, *(rival.label for rival in step.rivals)]
         if step.status == "shape":
             parts.append(f"{step.label}: no effect of the library describes it.")
+        elif step.status == "one_of" and not step.rivals:
+            parts.append(f"{step.label}: not found without every part of the recordings.")
         elif step.status == "one_of" and all(rival.kind == "exact" for rival in step.rivals):
             parts.append(f"No data can separate {' from '.join(group)}.")
         elif step.status == "one_of":
