@@ -93,15 +93,16 @@ os.environ["MPLBACKEND"] = "Agg"
 os.environ.pop("FORCE_COLOR", None)
 
 
-def prepare_work_folder(app):
-    """Run the demo for its recordings, and the examples for what they print."""
+def start_programs(app):
+    """Start the demo, which makes recordings, and the examples, while the atlas is drawn."""
     shutil.rmtree(WORK, ignore_errors=True)
     WORK.mkdir()
     shutil.copytree(HERE.parent / "examples", WORK / "examples")
     shutil.copytree(HERE / "scripts", WORK / "scripts")
     shutil.copy(HERE.parent / "examples" / f"{NOTEBOOK}.ipynb", HERE / "examples")
-    with ThreadPoolExecutor(2) as pool:
-        list(pool.map(run, PROGRAMS))
+    pool = ThreadPoolExecutor(1)
+    results = pool.map(run, PROGRAMS)
+    app.connect("env-before-read-docs", lambda *_: list(results))
 
 
 def run(name):
@@ -126,4 +127,4 @@ def check_offline(app, error):
 
 def setup(app):
     app.connect("build-finished", check_offline)
-    app.connect("builder-inited", prepare_work_folder)
+    app.connect("builder-inited", start_programs, priority=100)  # before the atlas

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from arm import HEAVIEST, ROBOT, Array, N, with_payload
 
@@ -14,6 +16,7 @@ EDGE = np.deg2rad(50.0)  # least distance of the middle of a run from the joint 
 SWINGS = (0.5, 1.0, 2.0, 4.0)  # rad/s² of joint 1, whose load is inertia alone
 
 
+@cache
 def friction_runs(
     joint: int, speeds: tuple[float, ...], centres: int
 ) -> list[tuple[Array, Array, Array, Array]]:

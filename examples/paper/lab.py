@@ -5,7 +5,7 @@ Each is computed at first use and cached.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -79,6 +79,8 @@ class Lab:
         smallest to largest.
     starts, criterion_starts : int
         Number of random starts of the two excitations, and of each criterion in Table III.
+    controlled : bool
+        Whether a joint controller tracks the trajectories, or the arm follows them exactly.
     """
 
     periods: int = PRINTED["periods"]
@@ -86,11 +88,13 @@ class Lab:
     centres: int = 3
     starts: int = 1
     criterion_starts: int = 5
+    controlled: bool = True
+    _motions: dict[tuple[int, float], TrueMotion] = field(default_factory=dict, repr=False)
 
     @classmethod
     def quick(cls) -> Lab:
-        """Return a lab with fewer periods, speeds and starts."""
-        return cls(periods=3, speeds=tuple(SPEEDS[::2]), criterion_starts=1)
+        """Return a lab with fewer periods, speeds and starts, and without a controller."""
+        return cls(periods=3, speeds=tuple(SPEEDS[::2]), criterion_starts=1, controlled=False)
 
     @cached_property
     def excitations(self) -> tuple[Excitation, Excitation]:
@@ -137,10 +141,17 @@ class Lab:
         return first, second
 
     def _run(self, which: int, payload: float, *, seed: int) -> Recording:
-        arm = true_arm(payload)
-        period = _Periodic(self.excitations[which])
-        # At rest at both ends: the periods differ by noise only, so that one is simulated.
-        motion = _repeated(plant.move(arm, period), self.periods)
+        arm, key = true_arm(payload), (which, payload)
+        if key not in self._motions:
+            # At rest at both ends: the periods differ by noise only, so that one is simulated.
+            period = _Periodic(self.excitations[which])
+            t = np.linspace(0.0, PERIOD, round(1000.0 * PERIOD) + 1)
+            self._motions[key] = (
+                plant.move(arm, period)
+                if self.controlled
+                else plant.move_along(arm, t, *period.at(t))
+            )
+        motion = _repeated(self._motions[key], self.periods)
         name = f"trajectory {which + 1}, {payload:g} kg"
         return plant.measure(arm, motion, sensors(), seed=seed, name=name)
 

@@ -31,6 +31,7 @@ from lab import Lab
 from page import Claim, Section, listed_claims, table
 
 HERE = Path(__file__).parent
+QUICKLY = "fewer periods, followed exactly without the controller (--quick)"
 
 
 def main(arguments: list[str] | None = None) -> tuple[Section, ...]:
@@ -86,7 +87,7 @@ def render(sections: tuple[Section, ...], seconds: float, *, quick: bool, record
         "public recording of a real Panda "
         f"({', '.join(f'{x:g}' for x in TORQUE_NOISE)} N·m), the velocity noise is assumed to be "
         f"{VELOCITY_NOISE:g} rad/s, and encoders have 20 bits. Excitation as in sections 6.1 and "
-        f"6.2: 5 harmonics, 20 s, {'fewer periods (--quick)' if quick else '5 periods'}. Friction "
+        f"6.2: 5 harmonics, 20 s, {QUICKLY if quick else '5 periods'}. Friction "
         "runs at 200 Hz follow the commanded motion exactly, with a payload of "
         f"{HEAVIEST:g} kg and, for verification, {', '.join(f'{m:g}' for m in PAYLOADS)} kg; the "
         "centre of each payload is 4 cm beside the axis of the flange.\n\n"
@@ -140,7 +141,9 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("-o", "--output", type=Path, default=HERE, metavar="DIR")
-    parser.add_argument("--quick", action="store_true", help="fewer periods, speeds and starts")
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer periods, speeds and starts, no controller"
+    )
     parser.add_argument("--robot", type=Path, metavar="URDF")
     parser.add_argument("--train", type=Path, nargs="+", default=[])
     parser.add_argument("--test", type=Path, nargs="+", default=[])

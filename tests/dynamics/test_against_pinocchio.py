@@ -25,10 +25,6 @@ def torques(arm):
     return per_state(arm, pin.rnea)
 
 
-def test_torque_of_the_recursion(arm):
-    assert_close(arm.evaluate(recursion.inverse_dynamics)[:, :, 0], torques(arm))
-
-
 def test_compiled_torque(arm):
     ours = arm.compiled.inverse_dynamics(*arm.states, arm.robot.link_parameters)
     assert_close(ours, torques(arm))
@@ -46,23 +42,6 @@ def test_link_parameters(arm):
     """Link parameters, expressed in Pinocchio's frames, are those of its model."""
     theirs = np.concatenate([body.toDynamicParameters() for body in arm.pinocchio.inertias[1:]])
     assert_close(arm.shift @ arm.robot.link_parameters, theirs)
-
-
-def test_mass_matrix(arm):
-    def theirs(model, data, q, dq, ddq):
-        upper = np.triu(np.reshape(pin.crba(model, data, q), (model.nv, model.nv)))
-        return upper + np.triu(upper, 1).T
-
-    expected = per_state(arm, theirs)
-    assert_close(arm.compiled.mass_matrix(arm.states[0], arm.robot.link_parameters), expected)
-
-
-def test_gravity(arm):
-    def theirs(model, data, q, dq, ddq):
-        return pin.computeGeneralizedGravity(model, data, q)
-
-    ours = arm.compiled.gravity(arm.states[0], arm.robot.link_parameters)
-    assert_close(ours, per_state(arm, theirs))
 
 
 def jacobians(arm):

@@ -73,17 +73,6 @@ def symmetric(upper):
     return np.triu(upper) + np.triu(upper, 1).T
 
 
-def test_numbers_sx_and_mx_agree(arm, functions):
-    if is_refused(arm, functions):
-        return
-    q, dq, ddq = arm.moments[0]
-    expected = functions.forward_dynamics(q, dq, ddq).full()
-    for kind in (ca.SX, ca.MX):
-        symbols = [kind.sym(name, arm.robot.n) for name in ("q", "dq", "tau")]
-        function = ca.Function("f", symbols, [functions.forward_dynamics(*symbols)])
-        np.testing.assert_allclose(function(q, dq, ddq).full(), expected, rtol=1e-12)
-
-
 def test_casadi_differentiates_forward_dynamics_by_the_implicit_derivatives(arm, functions):
     if is_refused(arm, functions):
         return

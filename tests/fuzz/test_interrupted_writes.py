@@ -19,7 +19,7 @@ from lieid_casadi.errors import OutputError
 from lieid_casadi.output_folder import MANIFEST, write_folder
 
 LIEID = [sys.executable, "-m", "lieid_casadi.cli.main"]
-KILLS = 20
+KILLS = 8
 COMMANDS = {
     "identify": "identify two_link run.csv -o out/fit.json --json out/result.json",
     "diagnose": "diagnose two_link --train run.csv@0:4 --test run.csv@4: -o out/fit.json "
