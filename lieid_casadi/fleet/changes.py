@@ -230,7 +230,6 @@ class Change:
     #: Largest p-value of this change, not corrected, if one of the nights since its beginning is
     #: left out; 1 if there is only one, or if ``p_value`` is 0.05 or more.
     p_without_night: float
-    freedom: float  # degrees of freedom of its t statistic
 
     def days_of_limit(self, last_day: float, limit: float) -> list[float | None]:
         """Return the days when a drift reaches a limit of the value's size; None for never."""
@@ -293,7 +292,6 @@ def strongest_change(
         _p_without_night(white[:, firsts[best] :], prior, basis, rest, outside[:, best])
         if p_value < JUDGED_WITHOUT_NIGHT
         else 1.0,
-        float(freedom),
     )
 
 

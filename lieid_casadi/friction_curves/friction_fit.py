@@ -94,30 +94,15 @@ def steady_columns(
 
 @dataclass(frozen=True, eq=False)
 class FrictionFit:
-    """A friction model fitted to the curve of one joint.
-
-    Attributes
-    ----------
-    curve : FrictionCurve
-    model : Model
-        The robot with the effects on that joint.
-    coefficients : (m,)
-        Linear coefficients, in the order of ``model.columns``.
-    shapes : (s,)
-        Shape parameters, in the order of ``model.shapes``.
-    covariance : (m + s, m + s)
-        Covariance of both; infinite variance where the curve does not determine a parameter.
-    predicted : (G,)
-        Friction torque of the model at the curve's points, N·m.
-    warnings : tuple of LieidWarning
-    """
+    """A friction model fitted to the curve of one joint."""
 
     curve: FrictionCurve
-    model: Model
-    coefficients: Array
-    shapes: Array
+    model: Model  # the robot with the effects on that joint
+    coefficients: Array  # (m,) linear coefficients, in the order of ``model.columns``
+    shapes: Array  # (s,) shape parameters, in the order of ``model.shapes``
+    #: (m + s, m + s) of both; infinite variance where the curve does not determine a parameter
     covariance: Array
-    predicted: Array
+    predicted: Array  # (G,) friction torque of the model at the curve's points, N·m
     warnings: tuple[LieidWarning, ...]
 
     @cached_property
@@ -153,15 +138,7 @@ class FrictionFit:
         return (*self.model.columns, *self.model.shapes)
 
     def friction(self, speed: ArrayLike, *, load: ArrayLike = 0.0) -> Array:
-        """Return the friction torque (P,) at constant speeds, N·m.
-
-        Parameters
-        ----------
-        speed : (P,)
-            Positive speeds, rad/s.
-        load : (P,) or float
-            Load torque, N·m.
-        """
+        """Return the friction torque (P,), N·m, at positive speeds (P,), rad/s, and loads, N·m."""
         joint = self.curve.joint
         columns = steady_columns(self.compiled, joint, speed, self.shapes, load=load)
         return np.asarray(columns @ self.coefficients)
@@ -394,31 +371,13 @@ def friction(
 ) -> FrictionFit:
     """Fit a friction model to the motion of one joint in both directions (Eq. 15).
 
-    Parameters
-    ----------
-    arm : Robot or Fit
-        Source of link parameters: identified ones and armatures of a fit, or nominal ones.
-    recordings : Recording or sequence of Recording
-        Recordings with torques.
-    joint : int
-        From 0.
-    effects : str or sequence of str or Effect, optional
-        Name of a friction model, or effects such as ``"coulomb,viscous,load_friction"``. Default:
-        Coulomb, viscous and Stribeck friction, and load friction where the load varies.
-    processing : Processing, optional
-        Filter options; by default the cut-off is chosen from the spectrum.
-
-    Returns
-    -------
-    FrictionFit
-        Its ``curve`` is the friction curve.
-
-    Raises
-    ------
-    RecordingError
-        The joint does not pass the same positions in both directions.
-    EffectError
-        An effect is unknown or acts on another joint.
+    ``arm``: source of link parameters: identified ones and armatures of a fit, or nominal ones;
+    ``recordings``: with torques, in both directions of the joint; ``joint``: from 0; ``effects``:
+    such as ``"coulomb,viscous,load_friction"``, by default Coulomb, viscous and Stribeck friction,
+    and load friction where the load varies; ``processing``: filter options, by default the cut-off
+    is chosen from the spectrum. The result's ``curve`` is the friction curve.
+    Raises `RecordingError`: the joint does not pass the same positions in both directions.
+    Raises `EffectError`: an effect is unknown or acts on another joint.
     """
     curve = friction_curve(arm, recordings, joint, processing=processing)
     return fit_friction(curve, effects)

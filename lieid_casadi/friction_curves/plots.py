@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = "viridis"
-ONE_LOAD = 0.2  # range of loads, relative to the largest, below which one colour is used
 LINES = 3
 
 
@@ -28,29 +27,19 @@ def plot_friction(
     ax: Axes | None = None,
 ) -> Figure:
     """Draw speeds, friction, standard errors and loads (G,) as points; return the figure."""
-    import matplotlib
-
     speed, friction, std, load = points
     if ax is None:
         ax = plot_style.new_figure(7.0, 4.2).subplots()
     plot_style.style(ax)
     ax.errorbar(speed, friction, std, fmt="none", ecolor=plot_style.MEASURED, zorder=2)
-    loads = [float(load.mean())]
-    if np.ptp(load) > ONE_LOAD * load.max(initial=0.0):
-        loads = list(np.linspace(load.min(), load.max(), LINES))
-        cloud = ax.scatter(speed, friction, c=load, cmap=COLOURS, s=16, zorder=3, vmin=0.0)
-        bar = plot_style.root_figure(ax).colorbar(cloud, ax=ax)
-        bar.set_label(f"|τ_load| [{unit}]", fontsize=plot_style.SMALL)
-        bar.ax.tick_params(labelsize=plot_style.SMALL)
-    else:
-        ax.scatter(speed, friction, color=plot_style.FORWARD, s=16, zorder=3)
+    cloud = ax.scatter(speed, friction, c=load, cmap=COLOURS, s=16, zorder=3, vmin=0.0)
+    bar = plot_style.root_figure(ax).colorbar(cloud, ax=ax)
+    bar.set_label(f"|τ_load| [{unit}]", fontsize=plot_style.SMALL)
+    bar.ax.tick_params(labelsize=plot_style.SMALL)
     if model is not None:
         drawn = np.geomspace(speed.min(), speed.max(), 200)
-        for each in loads:
-            share = each / max(float(load.max()), 1e-12)
-            one = plot_style.PREDICTED
-            colour = matplotlib.colormaps[COLOURS](share) if len(loads) > 1 else one
-            ax.plot(drawn, model(drawn, each), color=colour, linewidth=1.2)
+        for each in np.linspace(load.min(), load.max(), LINES):
+            ax.plot(drawn, model(drawn, each), color=cloud.to_rgba(each), linewidth=1.2)
     plot_style.title(ax, title)
     speed_unit = "rad/s" if unit == "N·m" else "m/s"
     plot_style.label(ax, x=f"|q̇| [{speed_unit}]", y=f"friction [{unit}]")

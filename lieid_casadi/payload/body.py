@@ -51,17 +51,8 @@ def physical_jacobian(parameters: Array) -> Array:
     return jacobian
 
 
-def _depends_on() -> Mask:
-    """Mark the parameters (columns) that each physical quantity (rows) depends on."""
-    depends = np.eye(10, dtype=bool)
-    depends[1:, 0] = True
-    for row, (i, j) in enumerate(_ENTRIES, start=4):
-        moments = {i, j} if i != j else {0, 1, 2} - {i}
-        depends[row, [1 + k for k in moments]] = True
-    return depends
-
-
-DEPENDS_ON = _depends_on()
+#: Parameters (columns) that each physical quantity (rows) depends on: those of a general body
+DEPENDS_ON: Mask = physical_jacobian(np.arange(1.0, 11.0)) != 0.0
 
 
 def identifiable_quantities(hidden: Array) -> Mask:

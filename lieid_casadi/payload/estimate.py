@@ -35,48 +35,29 @@ class NotIdentified:
 class PayloadEstimate:
     """Result of :func:`lieid_casadi.identify_payload`; NaN for quantities not identifiable.
 
-    Attributes
-    ----------
-    robot : str
-        Name of the robot.
-    frame : str
-        Where the tool frame lies, to which the values refer.
-    joint_names : tuple of str
-    values, std : (10,)
-        Mass (kg), centre of mass (3, tool frame, m) and inertia about it (xx, xy, yy, xz, yz,
-        zz, tool axes, kg·m²) by weighted least squares, and their standard deviations, which
-        include the fit's own uncertainty.
-    parameters, covariance : (10,), (10, 10)
-        m, m·c, inertia about the tool frame's origin; zero with zero variance along directions
-        that cannot be identified.
-    feasible : (10,)
-        The nearest physically consistent body, as ``parameters``.
-    not_identified : tuple of NotIdentified
-        Quantities without a value, or with a large relative uncertainty.
-    rms_before, rms_after : (n,)
-        RMS error of the loaded run with the fit alone and with the payload, joints in motion,
-        N·m; NaN for a joint that never moves.
-    rms_fit : (n,)
-        Held-out error of the fit on its training recordings, N·m: the error to expect.
-    cutoff : float
-        Cut-off frequency of the low-pass filter, Hz.
-    recordings : tuple of Source
-    warnings : tuple of LieidWarning
+    Mass (kg), centre of mass (3, tool frame, m) and inertia about it (xx, xy, yy, xz, yz, zz, tool
+    axes, kg·m²) are estimated by weighted least squares; their standard deviations include the
+    fit's own uncertainty.
     """
 
-    robot: str
-    frame: str
+    robot: str  # name
+    frame: str  # where the tool frame lies, to which the values refer
     joint_names: tuple[str, ...]
-    values: Array
-    std: Array
+    values: Array  # (10,) mass, centre of mass, inertia
+    std: Array  # (10,) standard deviations
+    #: (10,) m, m·c, inertia about the tool frame's origin, and their covariance (10, 10): both zero
+    #: along directions that cannot be identified
     parameters: Array
     covariance: Array
-    feasible: Array
+    feasible: Array  # (10,) the nearest physically consistent body, as ``parameters``
+    #: Quantities without a value, or with a large relative uncertainty
     not_identified: tuple[NotIdentified, ...]
+    #: (n,) RMS error of the loaded run with the fit alone and with the payload, joints in motion,
+    #: N·m; NaN for a joint that never moves
     rms_before: Array
     rms_after: Array
-    rms_fit: Array
-    cutoff: float
+    rms_fit: Array  # (n,) held-out error of the fit, N·m: the error to expect
+    cutoff: float  # of the low-pass filter, Hz
     recordings: tuple[Source, ...]
     warnings: tuple[LieidWarning, ...]
 

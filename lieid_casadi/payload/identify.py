@@ -213,35 +213,17 @@ def identify_payload(
     friction, viscous friction and offsets that have changed significantly, as with the temperature,
     are identified again from this run, which a warning states.
 
-    Parameters
-    ----------
-    fit : Fit
-        Identified without the payload, by any method.
-    recordings : Recording or sequence of Recording
-        Recordings with the payload, with torques.
-    cutoff : float, optional
-        Cut-off frequency of the low-pass filter, Hz; that of the fit if not given.
-    progress : callable, optional
-        Called with the name of a stage and the completed fraction (0 to 1).
+    ``fit``: identified without the payload, by any method; ``recordings``: with the payload, with
+    torques; ``cutoff``: of the low-pass filter, Hz, by default that of the fit; ``progress`` is
+    called with the name of a stage and the completed fraction (0 to 1). Mass and inertia scale with
+    the torque constants where torques come from motor currents; their standard deviations do not
+    contain an error of these constants.
+    Raises `ModelError`, `EffectError`, `RecordingError`: the recordings do not match the model.
+    Raises `IdentificationError`: no joint moves, or the motion identifies no parameter of a
+    payload. Raises `NoSolution`: the solver did not find a physically consistent body.
 
-    Returns
-    -------
-    PayloadEstimate
-
-    Raises
-    ------
-    ModelError, EffectError, RecordingError
-        The recordings do not match the model.
-    IdentificationError
-        No joint moves, or the motion identifies no parameter of a payload.
-    NoSolution
-        The solver did not find a physically consistent body.
-
-    Notes
-    -----
     Khalil, Gautier, Lemoine, "Identification of the payload inertial parameters of industrial
-    manipulators", ICRA 2007. Mass and inertia scale with the torque constants where torques come
-    from motor currents; their standard deviations do not contain an error of these constants.
+    manipulators", ICRA 2007.
     """
     given = listed(recordings)
     report = progress or (lambda stage, fraction: None)
