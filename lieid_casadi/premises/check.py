@@ -14,7 +14,7 @@ from lieid_casadi.errors import ModelError
 from lieid_casadi.identification import Fit
 from lieid_casadi.model import Model
 from lieid_casadi.premises import joints, match, mounting, samples, timing, torque_signal
-from lieid_casadi.premises.correction import Correction, with_all_remedies
+from lieid_casadi.premises.correction import Correction, for_recording, with_all_remedies
 from lieid_casadi.premises.findings import Finding, PremiseCheck
 from lieid_casadi.premises.plain_fit import Samples, samples_of
 from lieid_casadi.premises.rigid_columns import RigidArm
@@ -134,7 +134,8 @@ def check(
             break
         corrected.append(found)
         state = state.corrected(found[1])
-    corrections = with_all_remedies(corrected, arm.n, given[0].corrections)
+    together = with_all_remedies(corrected, arm.n, given[0].corrections)
+    corrections = [for_recording(finding, given[0]) for finding in together]
     known = any(finding.certain for finding in [*findings, *corrections])
     mismatch = _mismatch(given_errors, state.confirmed.base, certain=not known)
     if mismatch is None or not mismatch.certain:  # corrections of another arm are none
@@ -332,6 +333,8 @@ def _finding(
     """
     ratios = (after.relative / before.relative)[kind]
     first, last = before.rms[kind], after.rms[kind]
+    if alternative.premise == "torque_unit":
+        first = first * after.scale / before.scale  # in the same unit
     shown = np.flatnonzero(ratios < SHOWS)
     if shown.size or not unshown:
         shown = shown if shown.size else np.array([int(np.argmin(ratios))])

@@ -215,9 +215,8 @@ def with_all_remedies(
 ) -> list[Finding]:
     """Return findings, each of which was made after the corrections before it.
 
-    Their remedies are changed to the options that correct the recording when they are given
-    together and in place of those ``before`` that corrected it already, where options can state
-    that.
+    Their remedies become the options that correct the recording when they are given together and
+    in place of those ``before`` that it was read with, where options can state that.
     """
     unchanged = [finding for finding, _ in found]
     corrections = [*(correction_of([text], n) for text in before), *(c for _, c in found)]
@@ -233,8 +232,36 @@ def with_all_remedies(
             stated = [f"--joint-order {' '.join(str(j + 1) for j in range(n))}"]
         remedy = " ".join(stated) or finding.remedy
         sentence = finding.sentence.replace(finding.remedy, remedy)
+        if before:
+            sentence += f" The recording was read with {' '.join(before)}, which this replaces."
         made.append(replace(finding, remedy=remedy, sentence=sentence))
     return made
+
+
+def for_recording(finding: Finding, recording: Recording) -> Finding:
+    """Return a finding whose remedy takes into account how the recording was read.
+
+    That is with stated columns, which one option then states with those that correct them, or with
+    torque constants, which are multiplied by the corrected ones.
+    """
+    columns = re.search(r"--columns (\S+) ?", finding.remedy)
+    constants = re.search(r"--torque-constants (\S+)", finding.remedy)
+    remedy = finding.remedy
+    if columns and constants and recording.torque_constants is not None:
+        products = np.array(constants[1].split(","), dtype=float) * recording.torque_constants
+        made = f"--torque-constants {','.join(f'{x:.4g}' for x in products)}"
+        remedy = remedy.replace(columns[0], "").replace(constants[0], made)
+    elif columns and recording.columns:
+        stated, new = (
+            dict(text.split("=", 1) for text in texts)
+            for texts in (recording.columns, columns[1].split(","))
+        )
+        kept = {n: c for n, c in stated.items() if n not in new and n not in new.values()}
+        every = kept | {name: stated.get(column, column) for name, column in new.items()}
+        remedy = remedy.replace(columns[1], ",".join("=".join(pair) for pair in every.items()))
+    return replace(
+        finding, remedy=remedy, sentence=finding.sentence.replace(finding.remedy, remedy)
+    )
 
 
 def options_of(correction: Correction) -> dict[str, str] | None:

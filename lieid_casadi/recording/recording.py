@@ -32,8 +32,10 @@ from lieid_casadi.recording.measurement import (
 )
 from lieid_casadi.recording.readers.columns import (
     ColumnNames,
+    is_name,
     measurement_of_columns,
     parse_columns,
+    reassigned,
 )
 from lieid_casadi.recording.readers.registry import (
     ReadOptions,
@@ -199,7 +201,7 @@ class Recording(Measurement):
         columns
             Columns of other names than those of the file format: ``"t=stamp,q1=elbow"`` or a
             mapping ``{"q1": "elbow"}``; ``"q=pos_*"`` stands for all joints in the order of
-            their numbers.
+            their numbers. Of bags and datasets: signals taken for others, as ``"tau2=tau3"``.
         episodes
             For LeRobot datasets: first episode and end (excluded; None: all).
         calibration, position_limits
@@ -219,11 +221,12 @@ class Recording(Measurement):
             The format needs an extra that is not installed.
         """
         file, start, end = split_part(path)
+        stated = parse_columns(columns)
         options = ReadOptions(
             n=n,
             joint_names=None if joint_names is None else tuple(joint_names),
             topic=topic,
-            columns=parse_columns(columns),
+            columns=tuple(pair for pair in stated if not is_name(pair[1])),
             episodes=episodes,
             calibration=calibration,
             position_limits=None if position_limits is None else read_only(position_limits),
@@ -231,7 +234,8 @@ class Recording(Measurement):
             part=_part_ends(start, end, unit_factors(units)[0]),
         )
         made = convert_units(read_measurement(file, options), units, revolute)
-        made = replace(made, columns=tuple("=".join(pair) for pair in options.columns))
+        made = reassigned(made, [pair for pair in stated if is_name(pair[1])])
+        made = replace(made, columns=tuple("=".join(pair) for pair in stated))
         recording = cls.of_measurement(made, revolute).with_torque(torque_constants, drives)
         return recording if start is None and end is None else recording.cut(start, end)
 

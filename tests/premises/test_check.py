@@ -110,6 +110,11 @@ def test_wrong_premises(run, change, premise, joints, value, remedy):
         else:
             assert first.value[key] == pytest.approx(expected, rel=0.15, abs=0.05)
     assert first.remedy.split(" -")[0] in first.sentence or premise.startswith("torque_g")
+    if first.error_after is not None:  # both in the same unit
+        assert np.all(
+            np.array(first.error_after)[list(first.joints)]
+            < np.array(first.error_before)[list(first.joints)]
+        )
 
 
 @pytest.mark.parametrize("masses", [True, False])
@@ -304,8 +309,10 @@ def test_a_fit_remembers_what_corrected_its_recordings(folder, capsys):
     assert main(["compare", fit, swapped]) == 0
     found = str(folder / "found.json")
     assert main(["check", fit, good, "--json", found]) == 4
-    remedy = json.loads(Path(found).read_text())["findings"][0]["remedy"]
+    (finding,) = json.loads(Path(found).read_text())["findings"]
+    remedy = finding["remedy"]
     assert remedy == "--joint-order 1 2 3 4 5 6"  # in place of the stored one
+    assert "read with --joint-order 1 3 2 4 5 6, which this replaces" in finding["sentence"]
     assert main(["check", fit, good, *remedy.split()]) == 0
     night = ArmNight("A1", "2026-01-05", swapped, "", "f")
     _, read = load_night(night, Path(fit).read_bytes(), Path(swapped))
@@ -343,6 +350,30 @@ def test_a_fit_remembers_the_columns_of_its_recordings(folder, run, tmp_path):
     assert main(["check", fit, str(folder / "good.csv")]) == 4
     assert main(["check", fit, str(folder / "good.csv"), "--columns", "t=t"]) == 0
     assert main(["check", fit, f"{tmp_path}/renamed.csv"]) == 2
+
+
+def test_remedies_suit_how_a_recording_was_read(folder, run, tmp_path):
+    """Columns that were stated are stated again, and torque constants are multiplied."""
+    arm, found = str(folder / "arm.yaml"), tmp_path / "found.json"
+
+    def remedy(recording, *options):
+        assert main(["check", arm, str(recording), *options, "--json", str(found)]) == 4
+        (finding,) = json.loads(found.read_text())["findings"]
+        assert finding["remedy"] in finding["sentence"]
+        return finding["remedy"].split()
+
+    order, named = [0, 2, 1, 3, 4, 5], tmp_path / "named.csv"
+    replace(run, tau=run.tau[:, order]).save(named)
+    named.write_text(named.read_text().replace("tau", "eff_"))
+    typed = remedy(named, "--columns", "tau=eff_*")
+    assert typed == ["--columns", "tau=eff_*,tau2=tau3,tau3=tau2"]
+    assert main(["check", arm, str(named), *typed]) == 0
+    currents = lieid.Recording.from_arrays(run.t, run.q, run.dq, current=run.tau / 10.0)
+    currents.save(tmp_path / "currents.csv")
+    typed = remedy(tmp_path / "currents.csv", "--torque-constants", "1,1,1,1,1,1")
+    assert typed[0] == "--torque-constants"
+    np.testing.assert_allclose(np.array(typed[1].split(","), float)[:3], 10.0, rtol=0.2)
+    assert main(["check", arm, str(tmp_path / "currents.csv"), *typed]) == 0
 
 
 def test_the_mounting_of_a_urdf_is_in_the_fit(tmp_path, run):

@@ -43,6 +43,16 @@ def test_joints_are_ordered_by_the_robot(tmp_path, arm):
     np.testing.assert_array_equal(ordered.tau, arm.tau)
 
 
+def test_signals_of_a_bag_may_be_taken_for_others(tmp_path, arm):
+    bag = write(tmp_path / "bag", arm_messages(arm))
+    read = Recording.load(bag, columns="tau1=tau2,tau2=tau1")
+    np.testing.assert_array_equal(read.tau, arm.tau[:, ::-1])
+    read = Recording.load(bag, columns="i=tau", torque_constants=[2.0, 3.0])
+    np.testing.assert_array_equal(read.tau, arm.tau * [2.0, 3.0])
+    with pytest.raises(RecordingError, match="no column temp1"):
+        Recording.load(bag, columns="tau1=temp1")
+
+
 def test_messages_of_a_gripper_are_ignored(tmp_path, arm):
     gripper = [
         ("/joint_states", START + 3_000_000 + k * 50_000_000, ["finger"], [0.0], None, None, True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from lieid_casadi.errors import (
     UnknownColumnWarning,
 )
 from lieid_casadi.messages import names_text, shortened
-from lieid_casadi.recording.measurement import FIELDS, Measurement
+from lieid_casadi.recording.measurement import FIELDS, OPTIONAL_SIGNALS, Measurement
 
 #: Columns of a recording as NAME=COLUMN, or name and column; see `parse_columns`.
 ColumnNames = str | Mapping[str, str]
@@ -53,7 +53,8 @@ def parse_columns(columns: ColumnNames | None) -> tuple[tuple[str, str], ...]:
     """Return pairs of name and column of ``NAME=COLUMN,…``.
 
     NAME is one of the file format, such as ``tau1``, or a prefix such as ``tau`` for a whole
-    signal: COLUMN is then an array of an NPZ, or has ``*`` in place of the joint's number.
+    signal: COLUMN is then an array of an NPZ, or has ``*`` in place of the joint's number. COLUMN
+    may be a name of the file format, too, of any file: ``tau2=tau3,tau3=tau2``, or ``i=tau``.
     """
     if columns is None:
         return ()
@@ -73,9 +74,9 @@ def parse_columns(columns: ColumnNames | None) -> tuple[tuple[str, str], ...]:
     return tuple(pairs)
 
 
-def is_signal(name: str) -> bool:
+def is_name(name: str) -> bool:
     """Return whether a name is that of a signal of all joints, or of one, in the file format."""
-    return name not in ("t", LABEL) and _NAME.fullmatch(name) is not None
+    return _NAME.fullmatch(name) is not None
 
 
 def signal_names(
@@ -284,6 +285,28 @@ def measurement_of_columns(
         warnings=(*warnings, *layout_warnings(layout, title)),
         **signals,
     )
+
+
+def reassigned(measurement: Measurement, stated: Sequence[tuple[str, str]]) -> Measurement:
+    """Return a measurement whose signals, of all joints or of one, are taken for other ones.
+
+    ``stated`` are pairs of names of the file format, such as tau2 and tau3, or i and tau.
+    """
+    columns, source = columns_of(measurement), dict[str, str]()
+    for name, column in stated:
+        joint = "" if column[-1].isdigit() or column in columns else "[0-9]+"
+        own = [c for c in columns if re.fullmatch(column + joint, c)]
+        if not own:
+            raise RecordingError(
+                f"{measurement.title}: no column {column} (found {names_text(list(columns))}), "
+                f"expected that of {name}"
+            )
+        source |= {name + c[len(column) :]: c for c in own}
+    kept = {c: x for c, x in columns.items() if c not in source.values()}
+    given = kept | {name: columns[c] for name, c in source.items()}
+    made = measurement_of_columns(given, measurement.title)
+    signals = {field: getattr(made, field) for field in ("t", "q", *OPTIONAL_SIGNALS)}
+    return replace(measurement, payload_label=made.payload_label, **signals)
 
 
 def columns_of(measurement: Measurement) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from lieid_casadi.messages import names_text
 from lieid_casadi.recording.measurement import FIELDS, Measurement
 from lieid_casadi.recording.readers.columns import (
     LABEL,
-    is_signal,
+    is_name,
     measurement_of_columns,
     signal_names,
 )
@@ -72,7 +72,7 @@ def _arrays(
         stored = [info.filename.removesuffix(".npy") for info in infos]
         names, assumed = signal_names(stored, str(file), options.columns, options.joint_names)
         members = dict(zip(names, infos, strict=True))
-        wanted = [name for name in names if name in ("t", LABEL) or is_signal(name)]
+        wanted = [name for name in names if is_name(name)]
         if "t" not in wanted or not {"q", "q1"} & set(wanted):
             found = names_text(stored) or "nothing"
             raise RecordingError(f"{file}: found {found}, expected {EXPECTED}")
