@@ -15,7 +15,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.model import Model
 from lieid_casadi.premises import joints, match, mounting, samples, timing, torque_signal
 from lieid_casadi.premises.correction import Correction, for_recording, with_all_remedies
-from lieid_casadi.premises.findings import Finding, PremiseCheck
+from lieid_casadi.premises.findings import Finding, PremiseCheck, fall
 from lieid_casadi.premises.plain_fit import Samples, samples_of
 from lieid_casadi.premises.rigid_columns import RigidArm
 from lieid_casadi.premises.screen import Alternative, Errors, Screen
@@ -25,8 +25,9 @@ from lieid_casadi.recording.repairs import repaired
 from lieid_casadi.robot import Robot
 
 Progress = Callable[[str, float], None]
-#: Corrections that are combined, at most.
-DEPTH = 3
+#: Steps of correction, at most. Three wrong premises are found in up to five: an order or mounting
+#: that is found while others are wrong may have to be corrected again.
+DEPTH = 5
 #: Ratio of errors, with the correction to without, at and below which a premise is wrong.
 WRONG = 1.0 / 3.0
 #: A joint shows a premise if the correction lowers its error to this part.
@@ -81,7 +82,7 @@ def check(
     zero or unit, torque without gravity, late or exchanged. An alternative is a finding if it
     lowers the error in motion on held-out parts of the recording, and makes the verdict ``wrong``
     if it lowers it to a third or less. The strongest finding is corrected and the test repeated,
-    at most three times.
+    at most five times.
 
     Parameters
     ----------
@@ -338,10 +339,8 @@ def _finding(
     shown = np.flatnonzero(ratios < SHOWS)
     if shown.size or not unshown:
         shown = shown if shown.size else np.array([int(np.argmin(ratios))])
-        unshown = (
-            f"{alternative.what} the error of {_joints(shown)} falls from {_numbers(first[shown])} "
-            f"to {_numbers(last[shown])} N·m{' (with the stated inertias)' if kind else ''}."
-        )
+        basis = " (with the stated inertias)" if kind else ""
+        unshown = f"{alternative.what} {fall(first, last, shown.tolist())}{basis}."
     return Finding(
         alternative.premise,
         alternative.joints or _most(ratios),
@@ -387,19 +386,8 @@ def _most(ratios: Array) -> tuple[int, ...]:
     return tuple(sorted(int(j) for j in np.argsort(ratios)[:3] if ratios[j] < SHOWS))
 
 
-def _joints(shown: np.typing.NDArray[np.intp]) -> str:
-    numbers = [str(j + 1) for j in shown]
-    if len(numbers) > 2 and shown[-1] - shown[0] == len(shown) - 1:
-        return f"joints {numbers[0]}–{numbers[-1]}"
-    return f"joint{'s' if len(numbers) > 1 else ''} {', '.join(numbers)}"
-
-
 def _rounded(values: Array) -> tuple[float, ...]:
     return tuple(float(f"{x:.4g}") for x in values)
-
-
-def _numbers(values: Array) -> str:
-    return " ".join(f"{x:.3g}" for x in values)
 
 
 def _velocity(state: _State) -> list[Finding]:

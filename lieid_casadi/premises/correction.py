@@ -20,7 +20,7 @@ from scipy.optimize import linear_sum_assignment
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RecordingError
-from lieid_casadi.premises.findings import Finding
+from lieid_casadi.premises.findings import Finding, fall
 from lieid_casadi.premises.plain_fit import Samples
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
@@ -216,26 +216,63 @@ def with_all_remedies(
     """Return findings, each of which was made after the corrections before it.
 
     Their remedies become the options that correct the recording when they are given together and
-    in place of those ``before`` that it was read with, where options can state that.
+    in place of those ``before`` that it was read with, where options can state that. An order or a
+    mounting that was found in several steps is one finding.
     """
-    unchanged = [finding for finding, _ in found]
     corrections = [*(correction_of([text], n) for text in before), *(c for _, c in found)]
     texts = options_of(reduce(Correction.then, corrections, Correction.none(n)))
     if len(corrections) < 2 or texts is None:
-        return unchanged
+        return [finding for finding, _ in found]
     earlier = [text.split()[0] for text in before]
-    made = []
-    for finding in unchanged:
+    made = dict[tuple[object, ...], Finding]()
+    for finding, _ in found:
         names = dict.fromkeys([*re.findall(r"--[a-z-]+", finding.remedy), *earlier])
-        stated = [texts[name] for name in names if name in texts]
-        if not stated and before:  # options that change nothing replace those before
+        stated = [texts[name] for name in names if texts.get(name)]
+        if not stated and any(name in texts for name in names):
+            if not before:
+                continue  # a later correction takes it back
+            # options that change nothing replace those before
             stated = [f"--joint-order {' '.join(str(j + 1) for j in range(n))}"]
         remedy = " ".join(stated) or finding.remedy
         sentence = finding.sentence.replace(finding.remedy, remedy)
         if before:
             sentence += f" The recording was read with {' '.join(before)}, which this replaces."
-        made.append(replace(finding, remedy=remedy, sentence=sentence))
-    return made
+        key: tuple[object, ...] = (
+            finding.premise,
+            finding.value.get("signals", finding.joints),
+        )
+        if finding.premise == "gravity_direction":
+            key = (finding.premise,)
+        first = made.pop(key, finding)
+        made[key] = replace(finding, remedy=remedy, sentence=sentence)
+        if first is not finding:
+            made[key] = _joined(first, made[key])
+    return list(made.values())
+
+
+def _joined(first: Finding, last: Finding) -> Finding:
+    """Return an order or a mounting that was found in two steps as one finding."""
+    what = re.sub(r"joints .*?: with", "joints in another order: with", last.sentence)
+    what = re.sub(r"mounted .*? in this", "mounted otherwise than stated in this", what)
+    value, joints, certain = last.value, last.joints, first.certain or last.certain
+    if value.get("signals") == "all":
+        order = [
+            int(word) for word in last.remedy.split("--joint-order ")[1].split(" --")[0].split()
+        ]
+        value = {**value, "order": order}
+        joints = tuple(j for j, k in enumerate(order) if k != j + 1)[:3]
+    if first.error_before is not None and last.error_after is not None:
+        before, after = np.array(first.error_before), np.array(last.error_after)
+        shown = np.flatnonzero(after < before).tolist()
+        what = re.sub("the error of .*? N·m", fall(before, after, shown), what)
+    return replace(
+        last,
+        value=value,
+        joints=joints,
+        sentence=what,
+        certain=certain,
+        error_before=first.error_before,
+    )
 
 
 def for_recording(finding: Finding, recording: Recording) -> Finding:
@@ -265,7 +302,7 @@ def for_recording(finding: Finding, recording: Recording) -> Finding:
 
 
 def options_of(correction: Correction) -> dict[str, str] | None:
-    """Return the options that state a correction, by their names; None if options cannot.
+    """Return the options that state a correction, empty if not needed; None if options cannot.
 
     Positions are coupled · sign · order of those in rad, torques gain · order of what is recorded.
     """
@@ -303,13 +340,11 @@ def options_of(correction: Correction) -> dict[str, str] | None:
         "--columns": [",".join(columns)] if columns else [],
         "--torque-constants": [",".join(f"{abs(g):.4g}" for g in gain)] if currents else [],
     }
-    return {
-        name: " ".join(
-            [name, *(x if isinstance(x, str) else f"{x + 0.0:.4g}" for x in values)]
-        ).strip()
+    words = {
+        name: [x if isinstance(x, str) else f"{x + 0.0:.4g}" for x in values]
         for name, values in stated.items()
-        if values
     }
+    return {name: " ".join([name, *x]).strip() if x else "" for name, x in words.items()}
 
 
 def _numbers(words: Sequence[str], count: int) -> Array:

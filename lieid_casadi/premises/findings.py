@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.tables import Table, html, make_table
 
 Verdict = Literal["sound", "doubtful", "wrong"]
@@ -56,6 +57,16 @@ class Finding:
             "sentence": self.sentence,
             "remedy": self.remedy,
         }
+
+
+def fall(before: Array, after: Array, joints: Sequence[int]) -> str:
+    """Return the fall of the errors (n,) of some joints in words."""
+    numbers = [str(j + 1) for j in joints]
+    names = f"joint{'s' if len(numbers) > 1 else ''} {', '.join(numbers)}"
+    if len(numbers) > 2 and joints[-1] - joints[0] == len(joints) - 1:
+        names = f"joints {numbers[0]}–{numbers[-1]}"
+    first, last = (" ".join(f"{x[j]:.3g}" for j in joints) for x in (before, after))
+    return f"the error of {names} falls from {first} to {last} N·m"
 
 
 @dataclass(frozen=True)

@@ -246,11 +246,18 @@ def test_encoder_counts_are_not_taken_for_degrees(run):
     assert "position_unit" not in {f.premise for f in found.findings}
 
 
-def test_three_wrong_premises_are_never_a_doubt(run):
-    """Even where no correction that is tried explains the recording."""
+def test_three_wrong_premises_are_corrected_together(run):
+    """A mounting that is found while order and sign are wrong is corrected again."""
     wrong = corrected(run, "--joint-order 1 3 2 4 5 6", "--torque-sign 1 1 1 -1 1 1")
     arm = replace(ROBOT, gravity=gravity_of((0.0, np.pi / 2, 0.0)))
-    assert lieid.check(arm, wrong).verdict == "wrong"
+    found = lieid.check(arm, wrong)
+    assert found.verdict == "wrong"
+    assert {f.premise: f.remedy for f in found.findings} == {
+        "gravity_direction": "--base-rpy 0 0 0",
+        "joint_order": "--joint-order 1 3 2 4 5 6",
+        "torque_sign": "--torque-sign 1 1 1 -1 1 1",
+    }
+    assert "mounted otherwise than stated" in found.findings[0].sentence
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,8 @@ def test_recordings_and_samples_are_corrected_alike():
 def test_remedies_of_findings_one_after_the_other_hold_together(texts):
     given = recording()
     found = [
-        (Finding("any", (), {}, f"with {text}.", text), correction_of([text], 3)) for text in texts
+        (Finding(f"{k}", (), {}, f"with {text}.", text), correction_of([text], 3))
+        for k, text in enumerate(texts)
     ]
     made = with_all_remedies(found, 3)
     words = " ".join(finding.remedy for finding in made).split("--")[1:]
@@ -103,6 +104,27 @@ def test_remedies_of_findings_one_after_the_other_hold_together(texts):
     np.testing.assert_allclose(together.q, given.q, atol=1e-9)
     np.testing.assert_allclose(together.tau, given.tau, atol=1e-6)
     assert all(finding.remedy in finding.sentence for finding in made)
+
+
+def test_an_order_found_in_two_steps_is_one_finding_and_what_is_taken_back_is_none():
+    texts = (
+        "--joint-order 2 1 3",
+        "--joint-sign 1 1 -1",
+        "--joint-order 3 2 1",
+        "--joint-sign -1 1 1",
+    )
+    found = [
+        (Finding(text.split()[0], (), {"signals": "all"} if "order" in text else {},
+                 f"The recording has its joints 1 and 2 exchanged: with {text}.", text),
+         correction_of([text], 3))
+        for text in texts
+    ]  # fmt: skip
+    (made,) = with_all_remedies(found, 3)
+    assert made.remedy == "--joint-order 3 1 2"
+    assert made.value["order"] == [3, 1, 2]
+    assert (
+        made.sentence == "The recording has its joints in another order: with --joint-order 3 1 2."
+    )
 
 
 def test_power_stays_the_same():
