@@ -46,7 +46,7 @@ class RigidArm:
         for k, pose in enumerate(q):
             own = pin.computeJointJacobian(self.model, self.data, pose, self.robot.n)
             found[k] = own.reshape(6, -1)
-            found[k, :3] += np.cross(found[k, 3:].T, place).T
+        found[:, :3] += np.cross(found[:, 3:], place, axisa=1, axisc=1)
         return found
 
 
