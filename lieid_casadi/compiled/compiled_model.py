@@ -98,18 +98,10 @@ def compile(
 
 
 class Compiled:
-    """A model's functions on arrays of N samples, each built when it is first called.
+    """A model's functions on arrays of N samples, each built when first called; see `compile`.
 
     Arrays may have any strides. NaN in a sample gives NaN in that sample only; effects with memory
     hold their state there (`Effect.next_states`).
-
-    Parameters
-    ----------
-    model : Model
-    threads : int, optional
-        Threads that share a large batch; two if left out.
-    lanes : int, optional
-        Samples per vector register; the most that the processor has if left out.
 
     Notes
     -----
@@ -192,13 +184,7 @@ class Compiled:
     def base_regressor(
         self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, **given: Unpack[EffectCall]
     ) -> Array:
-        """Return Y_b (N, n, p): the kept columns of [Y, effect columns].
-
-        Raises
-        ------
-        ModelError
-            The model has effects on the whole arm or on the measurement.
-        """
+        """Return Y_b (N, n, p): the kept columns of [Y, effect columns]."""
         return self._evaluate("base_regressor", self._signals(q, dq, ddq, given, False), given)
 
     def rigid_base_regressor(
@@ -229,13 +215,7 @@ class Compiled:
         joint_effects_only: bool = False,
         **given: Unpack[EffectCall],
     ) -> Array:
-        """Return the effects' columns (N, n, m), dropped ones included.
-
-        Raises
-        ------
-        ModelError
-            The model has effects on the whole arm or on the measurement.
-        """
+        """Return the effects' columns (N, n, m), dropped ones included."""
         values = self._signals(q, dq, ddq, given, joint_effects_only)
         return self._evaluate("effect_columns", values, given)
 
@@ -249,13 +229,7 @@ class Compiled:
         joint_effects_only: bool = False,
         **given: Unpack[EffectCall],
     ) -> Array:
-        """Return the torque of all effects (N, n) for linear ``coefficients`` (m,).
-
-        Raises
-        ------
-        ModelError
-            The model has effects on the whole arm or on the measurement.
-        """
+        """Return the torque of all effects (N, n) for linear ``coefficients`` (m,)."""
         values = self._signals(q, dq, ddq, given, joint_effects_only)
         width = len(self.model.columns)
         values["coefficients"] = _constants("coefficients", coefficients, width)

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import chi2, ncx2
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.discrimination import discriminate
 from lieid_casadi.discrimination.motion_search import independent_rate
-from lieid_casadi.discrimination.rival_effects import noncentrality_needed
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation import Torque
 from lieid_casadi.identification.uncertainty.noise_model import Noise
@@ -97,17 +95,6 @@ def test_designed_motion_separates_better_than_random_ones(robot, fit, design):
     assert reached > 2.0 * max(others)
 
 
-def test_stated_noncentrality_is_that_of_the_motion(fit, train, design):
-    """From independently computed columns and numbers of rows."""
-    designed = design.motion(rate=50.0)
-    rms = separation(fit, design.sizes, designed.q, designed.dq, designed.ddq)
-    worst = min(pair.noncentrality for pair in design.pairs)
-    # independent rows per second that would give the stated noncentrality; its grid of shape
-    # parameters is coarser, so that refits leave up to a tenth more
-    rows = worst / rms**2 / fit.model.n / design.trajectory.duration
-    assert 4.0 < rows < 2.0 * 1.1**2 * fit.processing.cutoff
-
-
 def test_motion_is_within_limits_and_at_rest_at_both_ends(robot, design):
     motion = design.motion(rate=2000.0)
     assert np.all(motion.q <= robot.limit("position_upper"))
@@ -140,17 +127,6 @@ def test_stated_seconds_are_enough(robot, fit, design):
         misfit = [float(np.sum((f.rms_train / fit.noise) ** 2)) for f in fits]
         right += int(np.argmin(misfit)) == true
     assert right >= 11
-
-
-def test_needed_noncentrality_gives_the_power():
-    random = np.random.default_rng(0)
-    for k in (1, 3):
-        needed = noncentrality_needed(k, 0.95)
-        assert ncx2.sf(chi2.ppf(0.95, k), k, needed) == pytest.approx(0.95, abs=1e-6)
-        shift = np.zeros(k)
-        shift[0] = np.sqrt(needed)
-        draws = np.sum((random.standard_normal((20000, k)) + shift) ** 2, axis=1)
-        assert np.mean(draws > chi2.ppf(0.95, k)) == pytest.approx(0.95, abs=0.01)
 
 
 def test_correlated_samples_count_less(fit):
