@@ -27,9 +27,9 @@ import numpy as np
 from lieid_casadi.dynamics.closed_form import spatial_inertia
 from lieid_casadi.dynamics.lie import (
     Motion,
-    adjoint,
     axes,
     constant,
+    inverse_adjoint_times,
     relative_poses,
     small_adjoint,
     tool_pose,
@@ -113,7 +113,8 @@ def stacked_matrices(robot: Robot, motion: Motion, parameters: ca.SX) -> Stacked
     parameters.
     """
     n, poses, xi = robot.n, relative_poses(robot, motion), axes(robot)
-    back = [adjoint(g.inverse()) for g in poses]
+    unit = ca.SX(ca.DM.eye(6))
+    back = [inverse_adjoint_times(g, unit) for g in poses]
     transport, propagation = ca.SX(6 * n, 6 * n), ca.SX(ca.sparsify(ca.DM.eye(6 * n)))
     for i in range(1, n):
         rows, before = slice(6 * i, 6 * i + 6), slice(6 * i - 6, 6 * i)
@@ -132,6 +133,6 @@ def stacked_matrices(robot: Robot, motion: Motion, parameters: ca.SX) -> Stacked
             *(small_adjoint(velocity[6 * i : 6 * i + 6]).T for i in range(n))
         ),
         base=ca.vertcat(back[0], ca.SX(6 * (n - 1), 6)),
-        tool=ca.horzcat(ca.SX(6, 6 * (n - 1)), adjoint(tool_pose(robot).inverse())),
+        tool=ca.horzcat(ca.SX(6, 6 * (n - 1)), inverse_adjoint_times(tool_pose(robot), unit)),
         base_acceleration=constant(np.concatenate([np.zeros(3), -robot.gravity])),
     )

@@ -56,11 +56,6 @@ class Pose:
             ca.mtimes(self.rotation, other.translation) + self.translation,
         )
 
-    def inverse(self) -> Pose:
-        """Return the inverse pose."""
-        rotation = self.rotation.T
-        return Pose(rotation, -ca.mtimes(rotation, self.translation))
-
 
 def pose(matrix: ArrayLike) -> Pose:
     """Return a constant pose from its homogeneous matrix (4, 4)."""
@@ -86,14 +81,6 @@ def exp(screw: Array, q: ca.SX, sin: ca.SX, cos: ca.SX) -> Pose:
     moment = np.cross(omega, v)
     across, turned = constant(moment), constant(np.cross(omega, moment))
     return Pose(rotation, across * (1 - cos) - turned * sin)
-
-
-def adjoint(g: Pose) -> ca.SX:
-    """Return Ad_g (6, 6) = [[R, 0], [p̂R, R]]."""
-    return ca.vertcat(
-        ca.horzcat(g.rotation, ca.SX(3, 3)),
-        ca.horzcat(ca.mtimes(hat(g.translation), g.rotation), g.rotation),
-    )
 
 
 def small_adjoint(twist: ca.SX) -> ca.SX:

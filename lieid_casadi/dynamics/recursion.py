@@ -143,20 +143,15 @@ def inverse_dynamics(
     motion: Motion,
     parameters: ca.SX,
     *,
-    tool_wrench: ca.SX | None = None,
     gravity: ca.SX | None = None,
 ) -> ca.SX:
     """Return the rigid torque (n,) by the backward recursion, Eq. 3.
 
-    ``parameters`` (10 n,): link parameters; ``tool_wrench`` (6,): [m; f] that the tool exerts on
-    its surroundings, at the tool's origin, in tool axes; ``gravity`` (3,): gravity in the base
-    frame in place of the robot's, m/s².
+    ``parameters`` (10 n,): link parameters; ``gravity`` (3,): gravity in the base frame in place of
+    the robot's, m/s².
     """
     poses, xi = relative_poses(robot, motion), axes(robot)
-    wrench = ca.SX(6, 1)
-    if tool_wrench is not None:
-        wrench = inverse_adjoint_transpose_times(tool_pose(robot), tool_wrench)
-    torque = [ca.SX(1, 1)] * robot.n
+    wrench, torque = ca.SX(6, 1), [ca.SX(1, 1)] * robot.n
     bodies = link_accelerations(robot, motion, gravity=gravity)
     for i in reversed(range(robot.n)):
         wrench = wrench + link_wrench(parameters[10 * i : 10 * i + 10], bodies[i])

@@ -22,24 +22,25 @@ SOME = ["panda", "panda_luo2024", "two_link", "random_0_of_2", "random_3_of_5", 
 pytestmark = pytest.mark.parametrize("arm", SOME, indirect=True)
 
 
-def test_equation_4_with_a_wrench_is_the_recursion(arm):
-    wrench = np.random.default_rng(3).normal(size=6) * [3, 3, 3, 30, 30, 30]
-
-    def stacked(s, motion):
+def test_equation_4_is_the_recursion(arm):
+    def stacked(robot, motion, parameters):
+        s = stacked_matrices(robot, motion, parameters)
         return (
             ca.mtimes(s.mass_matrix, motion.ddq)
             + ca.mtimes(s.velocity_matrix, motion.dq)
             + s.gravity
-            + ca.mtimes(s.jacobian.T, wrench)
         )
 
-    def by_recursion(robot, motion, parameters):
-        return recursion.inverse_dynamics(robot, motion, parameters, tool_wrench=ca.SX(wrench))
+    assert_close(arm.evaluate(stacked), arm.evaluate(recursion.inverse_dynamics), 1e-12)
 
-    ours = arm.evaluate(
-        lambda robot, motion, p: stacked(stacked_matrices(robot, motion, p), motion)
-    )
-    assert_close(ours, arm.evaluate(by_recursion), 1e-12)
+
+def test_the_jacobian_is_that_of_the_tool_in_its_own_axes(arm):
+    def turned(robot, motion, parameters):
+        rotation = recursion.tool_in_base(robot, motion).rotation
+        jacobian = stacked_matrices(robot, motion, parameters).jacobian
+        return ca.mtimes(ca.diagcat(rotation, rotation), jacobian)
+
+    assert_close(arm.evaluate(turned), arm.compiled.jacobian(arm.states[0]), 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -61,13 +62,13 @@ def test_equations_2_and_3_as_printed_need_both_corrections(arm, sign, inverse, 
 def newton_euler(robot, motion, parameters, *, sign, inverse):
     """Eqs. 2-3 on whole twists and wrenches."""
     from lieid_casadi.dynamics.closed_form import spatial_inertia
-    from lieid_casadi.dynamics.lie import adjoint, axes, relative_poses, small_adjoint
+    from lieid_casadi.dynamics.lie import axes, inverse_adjoint_times, relative_poses, small_adjoint
 
     poses, xi = relative_poses(robot, motion), axes(robot)
     v, a = ca.SX(6, 1), ca.SX(np.concatenate([np.zeros(3), -robot.gravity]))
     twists, accelerations = [], []
     for i, g in enumerate(poses):
-        back = adjoint(g.inverse())
+        back = inverse_adjoint_times(g, ca.SX(ca.DM.eye(6)))
         carried = ca.mtimes(back, v)
         turn = xi[i] * motion.dq[i]
         v = carried + turn
@@ -81,6 +82,6 @@ def newton_euler(robot, motion, parameters, *, sign, inverse):
         wrench += ca.mtimes(inertia, accelerations[i])
         wrench -= ca.mtimes([small_adjoint(twists[i]).T, inertia, twists[i]])
         torque[i] = ca.mtimes(xi[i].T, wrench)
-        seen = poses[i].inverse() if inverse else poses[i]
-        wrench = ca.mtimes(adjoint(seen).T, wrench)
+        back = inverse_adjoint_times(poses[i], ca.SX(ca.DM.eye(6)))
+        wrench = ca.mtimes(back.T, wrench) if inverse else ca.solve(back.T, wrench)
     return ca.vertcat(*torque)
