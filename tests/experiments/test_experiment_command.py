@@ -2,6 +2,7 @@
 
 import io
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -35,6 +36,21 @@ def test_runs_until_the_effect_is_named(words, tmp_path, capsys, monkeypatch):
     assert [step["label"] for step in content["steps"]] == ["stribeck:1"]
     assert {"purpose", "trajectory", "recording", "verdict", "open"} <= set(content["rounds"][1])
     assert "Recording 1" in (tmp_path / "out.html").read_text()
+
+
+@pytest.mark.slow
+def test_resumes_after_kill_9_while_the_robot_moves(words, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(PROGRAM.parents[2]))
+    kill = (
+        f"'{sys.executable}' -c 'import os; os.kill(os.getppid(), 9)' {{trajectory}} {{recording}}"
+    )
+    command = [sys.executable, "-m", "lieid_casadi.cli.main", *words, "--record", kill, "--yes"]
+    assert subprocess.run(command, check=False).returncode == -9
+    assert (tmp_path / "out" / "round-1" / "trajectory.csv").exists()
+    assert main([*words, "--record", RECORD, "--yes"]) == 0
+    content = json.loads((tmp_path / "out" / "experiment.json").read_text())
+    assert content["stopped"] == "all_named"
+    assert [each["recording"] for each in content["rounds"]] == [None, "round-1/recording.csv"]
 
 
 def test_a_failed_command_has_status_3_and_keeps_the_round(words, tmp_path, capsys):
