@@ -22,7 +22,7 @@ ERROR = "error"  # name of the series of a joint's error
 #: Motions are the same if positions differ by less than this part of the range, and this, rad.
 SAME_MOTION, SAME_POSITION = 0.05, 0.01
 LEAST_ERROR_SCATTER = 0.02  # of the logarithm of an error: its unit of scale
-ARMS_AT_ONCE = 50  # that are read by one query
+ARMS_AT_ONCE = 250  # that are read by one query, which scans whole tables
 #: Runs of the present fit of some arms, numbered night by night (k); of a recording that was run
 #: twice, the later one. Of nights before the latest ones only some are kept.
 KEPT = f"""
@@ -30,7 +30,7 @@ CREATE OR REPLACE TEMP TABLE kept AS
 WITH used AS (
     SELECT r.run_id, r.serial, r.date, r.started, r.payload FROM runs r
     JOIN arms a ON r.serial = a.serial AND r.fit_sha256 = a.fit_sha256
-    WHERE r.status = 'done' AND list_contains($serials, r.serial) AND NOT EXISTS (
+    WHERE r.status = 'done' AND r.serial BETWEEN $first AND $last AND NOT EXISTS (
         SELECT 1 FROM maintenance m
         WHERE m.serial = r.serial AND r.date BETWEEN m.first AND m.last)
     QUALIFY row_number() OVER (PARTITION BY r.serial, r.recording ORDER BY r.started DESC) = 1
@@ -114,31 +114,39 @@ def read_arms(history: History, *, waiting: int | None = None) -> Iterator[ArmHi
     )
     for first, end in pairwise([*range(0, len(arms), ARMS_AT_ONCE), len(arms)]):
         part = arms[first:end]
-        history.connection.execute(KEPT, {"serials": [arm[0] for arm in part], "latest": latest})
-        rows = _rows_by_arm(history)
+        ends = {"first": part[0][0], "last": part[-1][0]}
+        history.connection.execute(KEPT, ends | {"latest": latest})
+        rows = _rows_by_arm(history, ends)
         for serial, robot, joints, limits in part:
             if rows["nights"][serial]:
                 own = {name: each[serial] for name, each in rows.items()}
                 yield _arm((serial, robot, joints), own, starts[serial], json.loads(limits))
 
 
-def _rows_by_arm(history: History) -> dict[str, defaultdict[str, list[tuple[Any, ...]]]]:
-    """Return rows of the kept runs by table and arm: nights, quantities, joints and findings."""
+def _rows_by_arm(
+    history: History, ends: Mapping[str, str]
+) -> dict[str, defaultdict[str, list[tuple[Any, ...]]]]:
+    """Return rows of the kept runs by table and arm: nights, quantities, joints and findings.
+
+    ``ends`` are the first and last serial number, without which a table's other columns are read.
+    """
+    own = "USING (run_id, serial) WHERE serial BETWEEN $first AND $last"
     lists = ", ".join(f"list({name} ORDER BY k)" for name in _JOINT_COLUMNS)
     queries = {
-        "nights": "SELECT serial, date, payload FROM kept ORDER BY serial, k",
+        "nights": "SELECT serial, date, payload FROM kept WHERE serial BETWEEN $first AND $last "
+        "ORDER BY serial, k",
         "quantities": "SELECT serial, name, joint, any_value(unit), list(value ORDER BY k), "
-        "list(std ORDER BY k) FROM kept JOIN parameters p USING (run_id, serial) "
+        f"list(std ORDER BY k) FROM kept JOIN parameters p {own} "
         "GROUP BY serial, name, joint ORDER BY serial, min(p.rowid)",
-        "joints": f"SELECT serial, joint, {lists} FROM kept JOIN errors USING (run_id, serial) "
+        "joints": f"SELECT serial, joint, {lists} FROM kept JOIN errors {own} "
         "GROUP BY serial, joint ORDER BY serial, joint",
         "findings": "SELECT serial, k, effect, joint, change, std, unit, severity, sentence, "
-        "rivals FROM kept JOIN findings f USING (run_id, serial) ORDER BY serial, k, f.rowid",
+        f"rivals FROM kept JOIN findings f {own} ORDER BY serial, k, f.rowid",
     }
     found: dict[str, defaultdict[str, list[tuple[Any, ...]]]] = {}
     for name, query in queries.items():
         found[name] = defaultdict(list)
-        for serial, *rest in history.rows(query):
+        for serial, *rest in history.connection.execute(query, ends).fetchall():
             found[name][serial].append(tuple(rest))
     return found
 

@@ -102,17 +102,18 @@ VIEWS = {
     "median(p.value) AS median, 1.4826 * mad(p.value) AS spread FROM latest l JOIN arms a "
     "USING (serial) JOIN parameters p USING (run_id, serial) GROUP BY a.robot, p.name, p.joint",
 }
+OF_ARMS = "serial IN (SELECT unnest($serials))"
 #: Expected nights of arms, with the best status of their recordings.
-NIGHTS = """
+NIGHTS = f"""
 INSERT INTO nights
 WITH known AS (
     SELECT serial, date, CASE WHEN bool_or(status = 'done') THEN 'done'
         WHEN bool_or(status = 'failed') THEN 'failed' ELSE 'refused' END AS status
-    FROM runs WHERE list_contains($serials, serial) GROUP BY serial, date
+    FROM runs WHERE {OF_ARMS} GROUP BY serial, date
 ), spans AS (
     SELECT serial, least(any_value(a.since), min(k.date)) AS first
     FROM arms a LEFT JOIN known k USING (serial)
-    WHERE list_contains($serials, serial) GROUP BY serial
+    WHERE {OF_ARMS} GROUP BY serial
 ), expected AS (
     SELECT serial, unnest(generate_series(first, $newest, INTERVAL 1 DAY))::DATE AS date FROM spans
     UNION SELECT serial, date FROM known
@@ -243,8 +244,8 @@ class History(AbstractContextManager["History"]):
     ) -> tuple[set[tuple[str, ...]], dict[str, frozenset[str]]]:
         """Return the files of arms (`ArmNight.key`) that have runs, and the identities of these."""
         kept = (
-            "WITH kept AS (SELECT * FROM runs WHERE status <> 'failed' AND list_contains(?, serial)"
-            " AND (? IS NULL OR method = ?)) "
+            "WITH kept AS (SELECT * FROM runs WHERE status <> 'failed' AND "
+            "serial IN (SELECT unnest(?)) AND (? IS NULL OR method = ?)) "
         )
         values: list[object] = [list(serials), method, method]
         files = self.rows(
@@ -259,28 +260,30 @@ class History(AbstractContextManager["History"]):
     def set_arms(self, arms: Iterable[ArmEntry], *, first: date | None = None) -> None:
         """Store the arms of the fleet file; ``first`` is the first night of those that are new."""
         known = dict(self.rows("SELECT serial, since FROM arms"))
+        # of an arm whose fit cannot be read, the history keeps that of earlier nights
+        fresh = [arm for arm in arms if arm.fit_sha256 or arm.serial not in known]
+        own = {"serials": [arm.serial for arm in fresh]}
         with self.transaction():
-            for arm in arms:
-                if not arm.fit_sha256 and arm.serial in known:
-                    continue  # its fit cannot be read; the history keeps that of earlier nights
-                entry = (
+            for table in ("arms", "maintenance"):
+                self.connection.execute(f"DELETE FROM {table} WHERE {OF_ARMS}", own)
+            self.insert("arms", [
+                (
                     arm.serial, arm.robot, arm.joints, arm.fit_sha256, json.dumps(dict(arm.limits)),
                     known.get(arm.serial, first), arm.fit_from, None, arm.fit,
-                )  # fmt: skip
-                self.connection.execute("DELETE FROM maintenance WHERE serial = ?", [arm.serial])
-                self.connection.execute("DELETE FROM arms WHERE serial = ?", [arm.serial])
-                self.insert("arms", [entry])
-                self.insert("maintenance", [(arm.serial, *span) for span in arm.maintenance])
+                )
+                for arm in fresh
+            ])  # fmt: skip
+            self.insert("maintenance", [(a.serial, *span) for a in fresh for span in a.maintenance])
 
     def set_nights(self, serials: Sequence[str], newest: date) -> list[tuple[str, date, str]]:
         """Write the expected nights of arms; return arms with a newest one that is not done."""
         own = {"serials": list(serials)}
         with self.transaction():
-            self.connection.execute("DELETE FROM nights WHERE list_contains($serials, serial)", own)
+            self.connection.execute(f"DELETE FROM nights WHERE {OF_ARMS}", own)
             self.connection.execute(NIGHTS, own | {"newest": newest})
         return self.connection.execute(
-            "SELECT serial, max(date), arg_max(status, date) AS status FROM nights WHERE "
-            "list_contains($serials, serial) GROUP BY serial HAVING status <> 'done' ORDER BY 1",
+            "SELECT serial, max(date), arg_max(status, date) AS status FROM nights "
+            f"WHERE {OF_ARMS} GROUP BY serial HAVING status <> 'done' ORDER BY 1",
             own,
         ).fetchall()
 
