@@ -115,14 +115,11 @@ def filter_memory(rate: float, cutoff: float, order: int = 4) -> int:
     return int(np.ceil((-np.log(NEGLIGIBLE) + 3.0) / slowest))
 
 
-def windows(count: int, kept: slice, margin: int, size: int | None = None) -> Iterator[Window]:
-    """Yield windows that cover the kept instants of ``count``, with margins for the filter.
-
-    A window has ``size`` instants without margins; at least ten margins if left out.
-    """
+def windows(count: int, kept: slice, margin: int) -> Iterator[Window]:
+    """Yield windows that cover the kept instants of ``count``, with margins for the filter."""
     step = kept.step or 1
     total = len(range(*kept.indices(count)))
-    rows = max(1, (size or max(WINDOW, 10 * margin)) // step)
+    rows = max(1, max(WINDOW, 10 * margin) // step)
     pieces = max(1, -(-total // rows))
     edges = [total * k // pieces for k in range(pieces + 1)]
     for first, last in pairwise(edges):

@@ -264,10 +264,6 @@ def check_rate(recording: Recording) -> list[LieidWarning]:
     ]
 
 
-#: Ratio of torque to the robot's limit from which the unit is in doubt, not the limit.
-FAR_BEYOND_TORQUE = 3.0
-
-
 def check_torque(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
     """Report torques that are constant, clipped or beyond the robot's limits."""
     if recording.tau is None:
@@ -283,12 +279,10 @@ def check_torque(recording: Recording, robot: Robot | None) -> list[LieidWarning
             )
         )
     magnitude = np.abs(recording.tau)
-    at_limit, excess = np.zeros(recording.n, dtype=bool), 0.0
+    at_limit = np.zeros(recording.n, dtype=bool)
     if robot is not None:
-        limits = robot.limit("torque")
-        with np.errstate(invalid="ignore", divide="ignore"):
-            at_limit = np.sum(magnitude >= 0.999 * limits, axis=0) >= 3
-            excess = float(np.max((magnitude / limits)[:, at_limit], initial=0.0))
+        with np.errstate(invalid="ignore"):
+            at_limit = np.sum(magnitude >= 0.999 * robot.limit("torque"), axis=0) >= 3
     clipped = clipped_joints(recording) & ~at_limit
     if clipped.any():
         level = float(magnitude[:, clipped].max(axis=0)[0])
@@ -299,11 +293,9 @@ def check_torque(recording: Recording, robot: Robot | None) -> list[LieidWarning
             )
         )
     if at_limit.any():
-        far = f", up to {excess:.3g} times: expected SI units (N·m)"
         found.append(
             TorqueClippedWarning(
                 f"{title}: torque of {joints_text(at_limit)} reaches the robot's torque limit"
-                + (far if excess > FAR_BEYOND_TORQUE else "")
             )
         )
     return found

@@ -162,12 +162,6 @@ def test_a_small_tilt_is_no_more_than_a_doubt(run):
     assert found.findings[0].premise == "gravity_direction"
 
 
-def test_premises_combine(run):
-    both = corrected(run, "--torque-sign 1 1 -1 1 1 1")
-    found = lieid.check(replace(ROBOT, gravity=gravity_of((0.0, np.pi / 2, 0.0))), both)
-    assert {f.premise for f in found.findings} == {"gravity_direction", "torque_sign"}
-
-
 def test_a_recording_of_another_arm():
     """Corrections that lower the error and leave the arm unexplained are none."""
     found = lieid.check(load_arm("rail"), measured(2))

@@ -88,14 +88,6 @@ def test_lost_samples_and_gaps(good):
     assert "split into 2 segments" in text
 
 
-def test_a_joint_that_never_moves(good):
-    still = np.array([[1.0, 0.0]])
-    text = only(
-        check(replace(good, q=good.q * still, dq=good.dq * still)), errors.JointStillWarning
-    )
-    assert "joint 2 never moved" in text
-
-
 def test_a_rate_too_low_for_the_motion(good):
     every = slice(None, None, 80)  # 2.5 Hz for harmonics up to 0.6 Hz
     fields = {f: getattr(good, f)[every] for f in ("t", "q", "dq", "tau")}

@@ -12,7 +12,7 @@ from recording.planar_arm import (
 
 from lieid_casadi.errors import MissingDependency, RecordingError, ShortSegmentWarning
 from lieid_casadi.recording import Processing, Recording, process
-from lieid_casadi.recording.filtering import filter_memory, lowpass, windows
+from lieid_casadi.recording.filtering import lowpass
 
 
 def one(recording, **options):
@@ -140,28 +140,12 @@ def test_formats_name_their_extra(monkeypatch, tmp_path, module, name, extra):
         Recording.load(tmp_path / name)
 
 
-# -- Filtering in windows gives what filtering the whole signal gives --
-
-
-def in_windows(x, rate, cutoff, order, kept, size):
-    margin = filter_memory(rate, cutoff, order)
-    found = []
-    for window in windows(len(x), kept, margin, size):
-        low = lowpass(x[window.instants], rate, cutoff, order)
-        assert len(low) <= size + 2 * margin + kept.start + (len(x) - kept.stop) + kept.step
-        found.append(low[window.inside])
-        assert len(found[-1]) == window.rows.stop - window.rows.start
-    return np.concatenate(found)
-
-
-@pytest.mark.parametrize(("order", "ratio", "step"), [(4, 5.0, 7), (4, 80.0, 1), (8, 20.0, 7)])
-def test_windows_equal_the_whole(order, ratio, step):
-    rng = np.random.default_rng(0)
-    x = np.cumsum(rng.normal(size=(20_000, 2)), axis=0) + 50.0
-    whole = lowpass(x, ratio, 1.0, order)
-    kept = slice(37, len(x) - 37, step)
-    found = in_windows(x, ratio, 1.0, order, kept, 1500)
-    assert np.abs(found - whole[kept]).max() < 1e-10 * np.abs(x).max()
+def test_filtering_in_windows_is_filtering_the_whole():
+    p = one(measured(duration=120.0), cutoff=5.0)
+    x = np.cumsum(np.random.default_rng(0).normal(size=(len(p), 2)), axis=0) + 50.0
+    assert len(p.windows) > 2
+    whole = lowpass(x, p.rate, p.cutoff)[p.kept]
+    np.testing.assert_allclose(p.filter(x), whole, atol=1e-10 * np.abs(x).max())
 
 
 # -- Choice between the measured velocity and the derivative of the position --
