@@ -54,7 +54,7 @@ def series_along(fit: Fit, segment: Processed) -> tuple[Series, Array]:
     assert segment.tau is not None  # checked by compare
     torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes)
     load = fit.compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, fit.link_parameters)
-    dq = segment.filter(segment.dq)
+    q, dq, ddq = segment.filtered_motion
     temperature = segment.temperature
     if temperature is not None:
         temperature = segment.filter(temperature)
@@ -63,11 +63,11 @@ def series_along(fit: Fit, segment: Processed) -> tuple[Series, Array]:
     series = Series(
         recording=segment.recording.name,
         time=segment.filtered_time,
-        measured=segment.filter(segment.tau),
+        measured=segment.filtered_torque,
         predicted=segment.filter(torque),
-        q=segment.filter(segment.q),
+        q=q,
         dq=dq,
-        ddq=segment.filter(segment.ddq),
+        ddq=ddq,
         sign=np.where(segment.filtered_moving, np.sign(dq), 0.0),
         load=segment.filter(load),
         temperature=temperature,

@@ -173,8 +173,8 @@ def identify_segments(
 
     Temperatures of the segments are relative to ``temperature_mean`` (n,), °C; ``known`` columns
     are shared by fits of models of one robot (`Design`). False for ``uncertainty`` leaves the
-    covariance NaN and the residual's noise white: for models of which only values are compared,
-    since the two take longer than the fit.
+    covariance and the training errors NaN and the residual's noise white: for models of which only
+    values are compared, since these take longer than the fit.
     """
     model, found = compiled.model, list(warnings)
     report("regress", 0.3)
@@ -191,7 +191,9 @@ def identify_segments(
     folds = fold_factors(design, state.rows, state.weighting.noise, state.solution.values)
     unweighted = stacked(state.rows)
     found += fit_warnings.of_regression(model, segments, state, unweighted, settled=settled)
-    rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
+    rms = rms_raw = np.full(model.n, np.nan)
+    if uncertainty:
+        rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
     estimate: Estimate = lambda factor: solve(factor).values  # noqa: E731
     certificate = None
     if method == "feasible":

@@ -160,6 +160,17 @@ class Processed:
         return self.t[self.kept]
 
     @cached_property
+    def filtered_torque(self) -> Array:
+        """(M, n) torque as :meth:`filter` returns it."""
+        assert self.tau is not None  # checked before identification and comparison
+        return self.filter(self.tau)
+
+    @cached_property
+    def filtered_motion(self) -> tuple[Array, Array, Array]:
+        """(M, n) q, dq and ddq as :meth:`filter` returns them."""
+        return self.filter(self.q), self.filter(self.dq), self.filter(self.ddq)
+
+    @cached_property
     def filtered_moving(self) -> Mask:
         """(M, n) True where no rest is within the length of the filter.
 

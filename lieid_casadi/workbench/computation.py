@@ -58,8 +58,8 @@ from lieid_casadi.workbench.session import (
 
 Kind = Literal["fit", "report", "c", "urdf", "mjcf"]
 Kept = TypeVar("Kept")
-QUICK_ROWS = 60_000  # rows of all recordings above which the first fit is that of a part
-SHAPE_ROWS = 10_000  # of the grid, above which it finds shape parameters on a part
+QUICK_ROWS = 60_000  # of all recordings, above which a part of them chooses the filter
+SHAPE_ROWS = 10_000  # of the grid, above which the first fit finds shape parameters on a part
 KEPT_RESULTS, KEPT_PREPARED = 40, 8  # of each kind; of processed recordings, which are large
 MOST_STRETCHES = 8  # of each recording in such a part
 LEAST_DURATION = 5.0  # s, of a stretch; the filter needs a second at each of its ends
@@ -107,10 +107,10 @@ class Computation:
     ) -> Evaluation:
         """Return the fit of a step, compared with all recordings.
 
-        A quick one is fitted to evenly spread parts of very long recordings, with shape parameters
-        from smaller parts; its error is still that of the whole test. It leaves out what takes
-        longer than the fit: standard deviations, and the noise floor, which is that of the model
-        before. A first model has both, unless the recordings are very long.
+        A quick one leaves out what takes longer than the fit: standard deviations, and the noise
+        floor, which is that of the model before; a first model has both unless the recordings are
+        very long. It is exact but for shape parameters, which are found on evenly spread parts of
+        long recordings. Of very long ones it has the errors of training of a part, and no number.
         ``processing`` is that of the fits of another process, so that all have the same filter.
         """
         self._processing = self._processing or processing
@@ -232,15 +232,15 @@ class Computation:
     def _quick_fit(self, step: ModelStep, share: float, report: Progress) -> tuple[Fit, bool]:
         """Return a fit without standard deviations, and whether it is exact apart from these."""
         model, first = Model(self.robot, step.effects), self._first(step, share, report)
-        train, held = self._prepared("train", step, first, share), None
+        train, held = self._prepared("train", step, first, 1.0), None
         rows = sum(len(segment.q) for segment in train.segments)
         fitted = np.array([shape.fitted for shape in model.shapes], dtype=bool)
         if rows > SHAPE_ROWS and fitted.any():
-            part = self._prepared("train", step, first, share * SHAPE_ROWS / rows)
+            part = self._prepared("train", step, first, SHAPE_ROWS / rows)
             shapes = part.fitted(model, first, uncertainty=False, report=report).shapes
             held = np.where(fitted, shapes, np.nan)
         fit = train.fitted(model, first, held_shapes=held, uncertainty=False, report=report)
-        return fit, share == 1.0 and held is None
+        return fit, held is None
 
     def _prepared(self, role: Role, step: ModelStep, fit: Fit, share: float) -> PreparedRecordings:
         """Return the recordings of a role, or a share of them, processed for fits of a step."""
@@ -259,30 +259,25 @@ class Computation:
         complete: bool = True,
         share: float = 1.0,
     ) -> Evaluation:
-        """Compare a fit with the recordings of a step; an opened fit has no training.
+        """Compare a fit with the recordings of a step.
 
-        The noise floor of an incomplete evaluation is that of the model before. Without a test, the
-        error of a fit to a share of the training is not below that of the whole training.
+        Where there is a test, a ``share`` of the training is compared. The noise floor of an
+        incomplete evaluation is that of the model before.
         """
-        train, test = self.used(step)
-        key = ("noise", step.excluded)
-        on_train = on_test = None
-        if train:
-            prepared = self._prepared("train", step, fit, share if test else 1.0)
-            on_train = prepared.compared(fit, with_noise=complete and not test)
+        test, key = self.used(step)[1], ("noise", step.excluded)
+        share = share if test else 1.0
+        prepared = self._prepared("train", step, fit, share)
+        shown = on_train = prepared.compared(fit, with_noise=complete and not test)
+        on_test, error = None, fit.rms_cv
         if test:
             prepared = self._prepared("test", step, fit, 1.0)
-            on_test = prepared.compared(fit, with_noise=complete)
-        shown = on_test or on_train
-        assert shown is not None
+            shown = on_test = prepared.compared(fit, with_noise=complete)
+            error = on_test.rms_moving
         if complete:
             self._keep(key, shown.noise_floor)
         elif key in self._results:  # a noise floor never exceeds the error; NaN: a joint at rest
             shown = replace(shown, noise_floor=np.minimum(self._results[key], shown.rms_moving))
-        trained = np.full(fit.model.n, np.nan) if on_train is None else on_train.rms_moving
-        error = shown.rms_moving if test else fit.rms_cv
-        if share < 1.0 and not test:
-            error = np.fmax(error, shown.rms_moving)
+        trained = on_train.rms_moving if share == 1.0 else np.full(fit.model.n, np.nan)
         columns = (trained, error, shown.noise_floor, _spread(shown))
         return Evaluation(
             exact=exact,

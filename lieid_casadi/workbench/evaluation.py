@@ -109,16 +109,16 @@ class EffectRow:
 class Evaluation:
     """A fitted model compared with all recordings.
 
-    It is ``exact`` unless shape parameters or coefficients were found on parts of the recordings,
-    and ``complete`` if it has the standard deviations and the noise floor of this model, too.
-    ``train`` compares with the recordings that were fitted, ``test`` with the others; their series
-    are named by the recordings' titles. ``cutoff`` is that of the filter in ``processing``, Hz.
+    It is ``exact`` unless shape parameters were found on parts of the recordings, and ``complete``
+    if it has the standard deviations and the noise floor of this model, too. ``train`` compares
+    with the recordings that were fitted, ``test`` with the others; their series are named by the
+    recordings' titles. ``cutoff`` is that of the filter in ``processing``, Hz.
     """
 
     exact: bool
     complete: bool
     errors: StepErrors
-    train: Comparison | None
+    train: Comparison
     test: Comparison | None
     sentence: str
     effects: tuple[EffectRow, ...]

@@ -70,8 +70,8 @@ class Work:
 class Workbench:
     """A session with its two worker processes.
 
-    Fits that the user waits for run in one; the search for missing effects, and exact fits after
-    quick ones run in the other, which can be stopped.
+    Fits that the user waits for run in one; the search for missing effects, and what quick fits
+    leave out, run in the other, which can be stopped.
     """
 
     def __init__(self, name: str, setup: WorkerSetup, *, worker: Worker | None = None) -> None:
@@ -374,16 +374,12 @@ class Workbench:
         return made
 
     async def _complete(self, step: ModelStep, shown: Evaluation) -> None:
-        """Compute what a quick evaluation of a step left out, then what follows an exact fit.
-
-        An exact fit of which only the uncertainty is left out needs no other process.
-        """
-        worker = self._front if shown.exact else self._back
-        if not shown.complete and not await self._completed(worker, step, shown):
+        """Compute what a quick evaluation of a step left out, then what follows an exact fit."""
+        if not shown.complete and not await self._completed(step, shown):
             return
-        await self._follow(worker, "curves", step, recording=self.session.recording)
+        await self._follow(self._back, "curves", step, recording=self.session.recording)
 
-    async def _completed(self, worker: Worker, step: ModelStep, quick: Evaluation) -> bool:
+    async def _completed(self, step: ModelStep, quick: Evaluation) -> bool:
         """Replace a quick evaluation; again if the process was stopped meanwhile.
 
         One after the other: steps that were left before their turn are skipped.
@@ -396,13 +392,15 @@ class Workbench:
 
         async with self._completing:
             while made is None and not (self._closed or left()):
-                made = await self._evaluated(worker, step, quick=False)
+                made = await self._evaluated(self._back, step, quick=False)
                 if self.error:
                     break
         if made is None or self.session.inputs is not inputs:
             return False
         if quick.exact:  # the same fit: views that show its torque need not draw it again
-            made = replace(made, train=quick.train, test=quick.test)
+            made = replace(made, test=quick.test or made.test)
+            if any(quick.errors.train):  # otherwise it is that along a part
+                made = replace(made, train=quick.train)
         self._keep("evaluation", step, made)
         return True
 

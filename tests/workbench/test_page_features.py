@@ -84,13 +84,13 @@ def test_a_selected_range_is_excluded_and_the_files_are_saved(start, browse, two
     page.click("save-fit")
     fit = page.downloaded("fit.json")
     assert lieid.Fit.load(fit).model.robot.name == "two_link"
-    for kind in ("c", "urdf"):
+    for kind in ("c", "mjcf"):
         page.click("export", done=lambda kind=kind: page.shown(f"save-{kind}"))
         page.click(f"save-{kind}")
         page.downloaded(f"two_link_{kind}.zip")
         page.wait(lambda kind=kind: not page.shown(f"save-{kind}"), "the end of the menu")
-    with zipfile.ZipFile(page.downloaded("two_link_urdf.zip")) as archive:
-        assert "urdf/two_link.urdf" in archive.namelist()
+    with zipfile.ZipFile(page.downloaded("two_link_mjcf.zip")) as archive:
+        assert "mjcf/two_link.xml" in archive.namelist()
     page.click("compare-1")
     page.wait(lambda: page.number("compared-1") == before, "the compared error")
     page.click("undo")
@@ -190,8 +190,8 @@ def test_an_export_is_stopped_and_a_tab_is_closed_during_another(start, browse, 
     page.click("library-base_tilt", done=lambda: page.elements("effect-base_tilt-arm"))
 
     def export():
-        page.click("export", done=lambda: page.shown("save-urdf"))
-        page.click("save-urdf")
+        page.click("export", done=lambda: page.shown("save-mjcf"))
+        page.click("save-mjcf")
         page.wait(lambda: page.shown("progress"), "the progress")
 
     export()

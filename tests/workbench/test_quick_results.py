@@ -86,7 +86,7 @@ async def settle():
         await asyncio.sleep(0)
 
 
-def test_the_same_process_adds_what_a_linear_fit_left_out(page):
+def test_the_other_process_adds_what_a_linear_fit_left_out(page):
     async def run():
         workbench, shown = page()
         await workbench.apply(workbench.session.with_added("viscous:1"))
@@ -94,11 +94,11 @@ def test_the_same_process_adds_what_a_linear_fit_left_out(page):
         assert not workbench.computing
         assert shown[-1] == (True, False, "quick series")
         assert workbench.session.step.errors.noise_floor == (0.15,)
-        workbench._front.go.set()
+        workbench._back.go.set()
         await settle()
         assert shown[-1] == (True, True, "quick series")  # need not be drawn again
         assert workbench.session.step.errors.noise_floor == (0.1,)
-        assert workbench._back.asked == []
+        assert workbench._front.asked == [("quick", "viscous:1")]
 
     asyncio.run(run())
 
@@ -144,7 +144,7 @@ def test_a_result_that_lands_after_undo_belongs_to_its_step(page):
         await workbench.apply(workbench.session.at(0))
         await settle()
         before = workbench.evaluation
-        workbench._front.go.set()
+        workbench._back.go.set()
         await settle()
         _, added = workbench.session.history
         assert before is not workbench._results["evaluation", added.key]

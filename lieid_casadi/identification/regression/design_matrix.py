@@ -154,7 +154,7 @@ class Design:
         acts = np.array([np.isin(self.varying, active) for active in self._active])
         self._pairs = np.nonzero(acts)  # joints, and the varying columns that act on them
         self._use = [s.filtered_moving | ~has_dry_friction(self.model) for s in self.segments]
-        self._torque = [s.filter(_torque(s)) for s in self.segments]
+        self._torque = [s.filtered_torque for s in self.segments]
         lengths = [len(use) for use in self._use]
         self._segments = np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
         stores = known or [FilteredColumns() for _ in self.segments]
