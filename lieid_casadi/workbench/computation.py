@@ -59,7 +59,8 @@ from lieid_casadi.workbench.session import (
 Kind = Literal["fit", "report", "c", "urdf", "mjcf"]
 Kept = TypeVar("Kept")
 QUICK_ROWS = 60_000  # of all recordings, above which a part of them chooses the filter
-SHAPE_ROWS = 10_000  # of the grid, above which the first fit finds shape parameters on a part
+PART_ROWS = 30_000  # of the grid, in each of two parts of which models with shapes are first fitted
+SHAPE_ROWS = 10_000  # of each of these parts, which shape parameters are found on
 KEPT_RESULTS, KEPT_PREPARED = 40, 8  # of each kind; of processed recordings, which are large
 MOST_STRETCHES = 8  # of each recording in such a part
 LEAST_DURATION = 5.0  # s, of a stretch; the filter needs a second at each of its ends
@@ -109,8 +110,9 @@ class Computation:
 
         A quick one leaves out what takes longer than the fit: standard deviations, and the noise
         floor, which is that of the model before; a first model has both unless the recordings are
-        very long. It is exact but for shape parameters, which are found on evenly spread parts of
-        long recordings. Of very long ones it has the errors of training of a part, and no number.
+        very long. It is exact but for models with shape parameters of long recordings: of the fits
+        of two separate parts, each joint has the larger error of all unseen rows. Errors of
+        training of very long recordings are unknown.
         ``processing`` is that of the fits of another process, so that all have the same filter.
         """
         self._processing = self._processing or processing
@@ -118,8 +120,10 @@ class Computation:
         brief = share < 1.0 or ("noise", step.excluded) in self._results
         if not quick or not brief or ("fit", step.key) in self._results:
             return self._evaluation(step, self.fit(step, report))
-        fit, exact = self._quick_fit(step, share, report)
-        return self._evaluation(step, fit, exact=exact, complete=False, share=share)
+        fits = self._quick_fits(step, share, report)
+        exact = len(fits) == 1
+        made = [self._evaluation(step, f, exact=exact, complete=False, share=share) for f in fits]
+        return replace(made[0], errors=_larger(*(each.errors for each in made)))
 
     def fit(self, step: ModelStep, report: Progress) -> Fit:
         """Return the exact fit of a step, with standard deviations."""
@@ -202,12 +206,14 @@ class Computation:
             export(fit, target, to=kind)
             return f"{fit.model.robot.name}_{kind}.zip", _zipped(target)
 
-    def used(self, step: ModelStep, share: float = 1.0) -> tuple[list[Recording], list[Recording]]:
+    def used(
+        self, step: ModelStep, share: float = 1.0, delay: float = 0.0
+    ) -> tuple[list[Recording], list[Recording]]:
         """Return training and test recordings without what is excluded, or a share of them."""
         used: dict[str, list[Recording]] = {"train": [], "test": []}
         both = zip(self.inputs.recordings, self.recordings, strict=True)
         for k, (given, recording) in enumerate(both):
-            used[given.role] += used_parts(recording, k, step.excluded, share=share)
+            used[given.role] += used_parts(recording, k, step.excluded, share, delay)
         if not used["train"]:
             raise UsageError("no training recording is left; undo the exclusion or open another")
         return used["train"], used["test"]
@@ -229,24 +235,33 @@ class Computation:
             self._keep(key, fit)
         return self._results[key]  # type: ignore[no-any-return]
 
-    def _quick_fit(self, step: ModelStep, share: float, report: Progress) -> tuple[Fit, bool]:
-        """Return a fit without standard deviations, and whether it is exact apart from these."""
+    def _quick_fits(self, step: ModelStep, share: float, report: Progress) -> list[Fit]:
+        """Return the fit without standard deviations, or those of two parts if that takes long."""
         model, first = Model(self.robot, step.effects), self._first(step, share, report)
-        train, held = self._prepared("train", step, first, 1.0), None
+        train = self._prepared("train", step, first, 1.0)
         rows = sum(len(segment.q) for segment in train.segments)
         fitted = np.array([shape.fitted for shape in model.shapes], dtype=bool)
-        if rows > SHAPE_ROWS and fitted.any():
-            part = self._prepared("train", step, first, SHAPE_ROWS / rows)
-            shapes = part.fitted(model, first, uncertainty=False, report=report).shapes
+        if rows <= 2 * SHAPE_ROWS or not fitted.any():
+            return [train.fitted(model, first, uncertainty=False, report=report)]
+        fits = []
+        for delay in (0.0, 0.5):
+            size = min(0.5, PART_ROWS / rows)
+            part = self._prepared("train", step, first, size, delay)
+            few = self._prepared("train", step, first, SHAPE_ROWS / rows, delay)
+            shapes = few.fitted(model, first, uncertainty=False, report=report).shapes
             held = np.where(fitted, shapes, np.nan)
-        fit = train.fitted(model, first, held_shapes=held, uncertainty=False, report=report)
-        return fit, held is None
+            fits.append(
+                part.fitted(model, first, held_shapes=held, uncertainty=False, report=report)
+            )
+        return fits
 
-    def _prepared(self, role: Role, step: ModelStep, fit: Fit, share: float) -> PreparedRecordings:
+    def _prepared(
+        self, role: Role, step: ModelStep, fit: Fit, share: float, delay: float = 0.0
+    ) -> PreparedRecordings:
         """Return the recordings of a role, or a share of them, processed for fits of a step."""
-        key = ("prepared", role, step.excluded, share)
+        key = ("prepared", role, step.excluded, share, delay)
         if key not in self._results:
-            given = self.used(step, share)[role == "test"]
+            given = self.used(step, share, delay)[role == "test"]
             self._keep(key, PreparedRecordings.of(fit, given, average=role == "train"))
         return self._results[key]  # type: ignore[no-any-return]
 
@@ -300,6 +315,12 @@ class Computation:
         return value
 
 
+def _larger(errors: StepErrors, *others: StepErrors) -> StepErrors:
+    """Return errors with the largest one of each joint."""
+    every = np.array([e.shown for e in (errors, *others)], dtype=float)
+    return replace(errors, shown=tuple(numbers_or_none(every.max(axis=0))))
+
+
 def _spread(comparison: Comparison) -> Array:
     """Return the standard deviation of the measured torque in motion (n,), NaN at rest, N·m."""
     measured = np.concatenate([s.measured for s in comparison.series])
@@ -330,11 +351,15 @@ def recording_titles(inputs: WorkbenchInputs) -> list[str]:
 
 
 def used_parts(
-    recording: Recording, number: int, excluded: Sequence[ExcludedRange], *, share: float = 1.0
+    recording: Recording,
+    number: int,
+    excluded: Sequence[ExcludedRange],
+    share: float = 1.0,
+    delay: float = 0.0,
 ) -> list[Recording]:
     """Return the parts of recording ``number`` that are not excluded; of each, a share below 1.
 
-    A share is made of stretches that are evenly spread.
+    A share is made of stretches that are evenly spread, each after a part ``delay`` of its turn.
     """
     parts = []
     for start, end in kept_parts(excluded, number):
@@ -345,14 +370,16 @@ def used_parts(
             parts.append(recording.cut(start, end))
         except RecordingError:  # no rows between two excluded stretches
             continue
-    return parts if share >= 1.0 else [s for part in parts for s in _evenly_spread(part, share)]
+    if share >= 1.0:
+        return parts
+    return [stretch for part in parts for stretch in _evenly_spread(part, share, delay)]
 
 
-def _evenly_spread(recording: Recording, share: float) -> list[Recording]:
+def _evenly_spread(recording: Recording, share: float, delay: float) -> list[Recording]:
     count = int(np.clip(share * recording.duration / LEAST_DURATION, 1, MOST_STRETCHES))
-    edges = np.linspace(0, len(recording), count + 1)
-    length = share * len(recording) / count
-    return [recording.rows(int(first), int(first + length)) for first in edges[:-1]]
+    turn = len(recording) / count
+    starts = (np.arange(count) + delay) * turn
+    return [recording.rows(int(start), int(start + share * turn)) for start in starts]
 
 
 @dataclass(frozen=True, eq=False)

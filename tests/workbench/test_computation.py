@@ -77,19 +77,17 @@ def test_errors_are_those_of_identify_and_compare(computation, first, two_link_f
     np.testing.assert_allclose(shown.errors.shown, lieid.compare(larger, test).rms_moving)
 
 
-@pytest.mark.parametrize(("most", "at_once"), [(1500, False), (10**6, True)])
-def test_a_quick_fit_of_long_recordings_finds_shapes_on_a_part(
+@pytest.mark.parametrize(("most", "at_once"), [(700, False), (10**6, True)])
+def test_a_quick_model_with_shapes_is_fitted_to_two_parts_of_long_recordings(
     inputs, first, monkeypatch, most, at_once
 ):
-    """And is not better than the exact one by more than 1 %."""
+    """The error is the larger of both: not below the exact one by more than 1 %."""
     monkeypatch.setattr("lieid_casadi.workbench.computation.SHAPE_ROWS", most)
     computation = Computation(SETUP, inputs)
     evaluate(computation, first)
     session = first.with_added("stribeck:1")
-    quick = evaluate(computation, session, quick=True)
-    exact = evaluate(computation, session)
+    quick, exact = (evaluate(computation, session, quick=x) for x in (True, False))
     assert (quick.exact, exact.exact) == (at_once, True)
-    assert exact.errors.train[0] <= quick.errors.train[0] * (1 + 1e-9)
     assert (quick.errors.shown == exact.errors.shown) == at_once
     assert np.all(np.array(quick.errors.shown) > 0.99 * np.array(exact.errors.shown))
     assert evaluate(computation, session, quick=True).exact  # its fit is kept
