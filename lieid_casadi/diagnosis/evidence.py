@@ -21,6 +21,7 @@ from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.folds import Folds
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Span
+from lieid_casadi.effects.smooth import Smooth
 
 DEPENDENT = 1e-8  # of a largest eigenvalue
 SMALLEST = 1e-12  # part of an error below which it counts as zero
@@ -134,8 +135,11 @@ def judge(
             candidate = columns.candidate(group)
             own = _joints_of(candidate, n)
             beside = [-1 - j for j in own] if candidate.effect.delays_torque else []
-            complete = held.squares([*path, *beside]) if beside else plain
-            rest = [g for g in path if g not in mine]
+            used = _without_later_functions(path, mine, columns)
+            complete = plain
+            if beside or len(used) < len(path):
+                complete = held.squares([*used, *beside])
+            rest = [g for g in used if g not in mine]
             without = held.squares([*rest, *beside]) if mine else complete
             if without[own].sum() > 0.0:
                 least = SMALLEST * without[own].sum()
@@ -162,6 +166,22 @@ def judge(
             )
         )
     return tuple(found)
+
+
+def _without_later_functions(
+    path: Sequence[int], mine: Sequence[int], columns: Columns
+) -> Sequence[int]:
+    """Return a path without the smooth functions that came after an effect of the library.
+
+    A function that contains the effect would take its place, and neither would gain beside the
+    other.
+    """
+    if not mine or isinstance(columns.candidate(mine[0]).effect, Smooth):
+        return path
+    first = min(path.index(g) for g in mine)
+    later = {g for g in path[first:] if isinstance(columns.candidate(g).effect, Smooth)}
+    joint = columns.candidate(mine[0]).joint
+    return [g for g in path if g not in later or columns.candidate(g).joint != joint]
 
 
 def held_out_squares(

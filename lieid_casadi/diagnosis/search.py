@@ -115,20 +115,18 @@ def search(
         rest = _residual_beside(paths, first, rows, scale)
         noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
     dependence = _dependence(paths.columns, noise)
-    folds, whole, parts = _chosen(paths, rows, scale, dependence, options)
-    slots = judge(
-        paths.span, paths.columns, folds, whole, parts, _late_friction(paths.span, rows, scale)
-    )
+    folds, slots = _judged(paths, rows, scale, dependence, options)
     return Round(rows, scale, paths.columns, paths.span, folds, paths, slots)
 
 
-def _chosen(
+def _judged(
     paths: Paths, rows: Rows, spread: Array, dependence: Array, options: DiagnosisOptions
-) -> tuple[Folds, tuple[int, ...], list[list[int]]]:
-    """Return the held-out parts, the path on all rows, and the paths outside each part.
+) -> tuple[Folds, tuple[Slot, ...]]:
+    """Return the held-out parts, and the effects of the path on all rows as these judge it.
 
-    Smooth functions come first on the joints where the error of the held-out parts is lower so:
-    many effects of the library together resemble a torque that none of them describes.
+    Smooth functions come first on the joints where the error of the held-out parts is lower so, or
+    where only so anything lowers it: many effects of the library together resemble a torque that
+    none of them describes.
     """
     rules = _rules(paths.columns, rows, options, dependence)
     every = range(len(rows.runs))
@@ -137,24 +135,37 @@ def _chosen(
     kept = np.union1d(_promising(paths, whole, rules), _promising(paths, other, rules))
     few = Paths(paths.span, paths.columns.of_groups(kept), folds.out)
     of_few = _rules(few.columns, rows, options, dependence[kept])
+    late = _late_friction(paths.span, rows, spread)
 
     def outside(smooth_first: Collection[int]) -> list[list[int]]:
         found = (forward(few, k, of_few, smooth_first=smooth_first) for k in range(folds.count))
         return [kept[list(path)].tolist() for path in found]
 
+    def judged(path: Sequence[int], parts: Sequence[Sequence[int]]) -> tuple[Slot, ...]:
+        return judge(paths.span, paths.columns, folds, path, parts, late)
+
     parts = outside(())
+    slots = judged(whole, parts)
     first = {paths.columns.candidate(g).joint for g in other if rules.smooth[g]}
     if set(other) == set(whole) or not first:
-        return folds, whole, parts
+        return folds, slots
     others = outside(first)
     before, after = (
         held_out_squares(paths.span, paths.columns, folds, each) for each in (parts, others)
     )
-    better = {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
+    so = judged(other, others)
+    better = (_supported(so, options) - _supported(slots, options)) & first
+    better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
+    if better == first:
+        return folds, so
     if better:
-        whole = forward(paths, -1, rules, smooth_first=better)
-        parts = others if better == first else outside(better)
-    return folds, whole, parts
+        slots = judged(forward(paths, -1, rules, smooth_first=better), outside(better))
+    return folds, slots
+
+
+def _supported(slots: Sequence[Slot], options: DiagnosisOptions) -> set[int]:
+    """Return the joints with an effect that the held-out parts support."""
+    return {slot.joint for slot in slots if slot.reason(options) is None}
 
 
 def _lowers(

@@ -8,10 +8,11 @@ products of elementary functions of its signals.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
@@ -23,13 +24,16 @@ from lieid_casadi.effects.registry import make
 from lieid_casadi.identification.regression.variable_projection import shapes_of_data
 from lieid_casadi.model import Model
 
-PER_JOINT = 4  # candidates of each joint: functions of one signal, and as many of two
+#: Candidates of each joint: functions of its own signals, and of those of other joints; of one
+#: signal, and as many of two.
+PER_JOINT = 2
+DEGREE, ANGLE_DEGREE = 6, 10  # of the polynomials of a signal
 RIDGE = 1e-6  # of a column's square
 FIELDS = {"q": "q", "dq": "dq", "ddq": "ddq", "load": "load", "temp": "temperature"}
 OTHERS = ("q", "dq")  # signals of other joints that are tried
 DEPENDENT = 1e-9  # of the largest singular value
 LEAST_FOLLOWED = 0.5  # of a residual's square that signals must explain to be stated
-WAVES = 6  # half periods of the fastest slow function of time, in a segment
+WAVES, FRICTION_WAVES = 6, 2  # half periods of the fastest slow function of time, in a segment
 MOST_TERMS = 3  # of a formula
 CLOSE, LEAST_TERM = 0.97, 0.02  # part of a variance that is enough, and that a term must add
 LEAST_EXPLAINED = 0.8  # of the variance, by a formula that is stated
@@ -54,13 +58,16 @@ def smooth_candidates(
             signals = list(combinations(polynomials, count))
             scores = np.zeros((len(signals), len(residuals)))
             for k, names in enumerate(signals):
-                columns = _products([polynomials[name] for name in names]) * weights
+                columns = _products(names, polynomials) * weights
                 cost = columns.shape[1] * np.log(max(len(weights), 2))
                 scores[k] = _gains(columns, targets, basis) - cost
-            for own in scores.T:
-                best = [k for k in np.argsort(-own)[:PER_JOINT] if own[k] > 0.0]
-                wanted = [_candidate(rows, signals[k], joint) for k in best]
-                found |= {candidate.label: candidate for candidate in wanted}
+            of_joint = np.array([not any(map(_of_other, names)) for names in signals], dtype=bool)
+            for of_residual in scores.T:
+                for own in (of_joint, ~of_joint):
+                    ranked = np.where(own, of_residual, 0.0)
+                    best = [k for k in np.argsort(-ranked)[:PER_JOINT] if ranked[k] > 0.0]
+                    wanted = [_candidate(rows, signals[k], joint) for k in best]
+                    found |= {candidate.label: candidate for candidate in wanted}
     return list(found.values())
 
 
@@ -73,10 +80,10 @@ def followed_signals(rows: Rows, joint: int, residual: Array) -> tuple[str, ...]
     target *= np.sqrt(len(target)) / max(float(np.linalg.norm(target)), 1e-300)
     polynomials = dict(_polynomials(rows, joint))
     known: dict[tuple[str, ...], Array] = {(a,): x for a, x in polynomials.items()}
-    known["t",] = _slow(rows, joint)
-    known |= {
-        (a, b): _products([polynomials[a], polynomials[b]]) for a, b in combinations(polynomials, 2)
-    }
+    known["t",] = _slow(rows, joint, WAVES)
+    if "dq" in polynomials:  # dry friction that changes with time
+        known["t", "dq"] = _slow(rows, joint, FRICTION_WAVES) * polynomials["dq"][:, :1]
+    known |= {pair: _products(pair, polynomials) for pair in combinations(polynomials, 2)}
     # slow errors have fewer independent rows than samples: about one in a second
     seconds = max(len(np.unique(rows.times[rows.runs[joint].all] // 1.0)), 2)
     best: tuple[str, ...] = ()
@@ -91,10 +98,15 @@ def followed_signals(rows: Rows, joint: int, residual: Array) -> tuple[str, ...]
 
 def named_column(signal: str, joint: int) -> str:
     """Return a signal as columns are named, ``dq3``: one without a number is the joint's own."""
-    return signal if signal == "t" or signal[-1].isdigit() else f"{signal}{joint + 1}"
+    return signal if signal == "t" or _of_other(signal) else f"{signal}{joint + 1}"
 
 
-def _slow(rows: Rows, joint: int) -> Array:
+def _of_other(signal: str) -> bool:
+    """Return whether a signal is that of another joint."""
+    return signal[-1].isdigit()
+
+
+def _slow(rows: Rows, joint: int, count: int) -> Array:
     """Return slow functions of time (R_j, k) in each segment."""
     own = rows.runs[joint].all
     segment, times = rows.segment_of[own], rows.times[own]
@@ -102,19 +114,25 @@ def _slow(rows: Rows, joint: int) -> Array:
     for k in np.unique(segment):
         here = segment == k
         place = times[here] - times[here].min()
-        waves = np.cos(np.pi * np.outer(place / max(place.max(), 1e-9), np.arange(1, WAVES + 1)))
-        columns.append(np.zeros((len(own), WAVES)))
+        waves = np.cos(np.pi * np.outer(place / max(place.max(), 1e-9), np.arange(1, count + 1)))
+        columns.append(np.zeros((len(own), count)))
         columns[-1][here] = waves
     return np.hstack(columns)
 
 
-def _products(parts: Sequence[Array]) -> Array:
-    """Return the polynomials of one signal, or the first ones of two and their products."""
-    if len(parts) == 1:
-        return parts[0]
-    few = [part[:, :3] for part in parts]
+def _products(names: Sequence[str], polynomials: Mapping[str, Array]) -> Array:
+    """Return the polynomials of one signal, or the first ones of two and their products.
+
+    As in the effect itself, a velocity beside another signal is friction that the other modulates.
+    """
+    if len(names) == 1:
+        return polynomials[names[0]]
+    letters = [name.rstrip("0123456789") for name in names]
+    most = {"dq": 2, "q": 6 if "dq" in letters else 3}
+    few = [polynomials[name][:, : most.get(a, 3)] for name, a in zip(names, letters, strict=True)]
     products = np.einsum("ra,rb->rab", *few).reshape(len(few[0]), -1)
-    return np.hstack([*few, products])
+    modulated = [x for x, a in zip(few, letters, strict=True) if a == "dq" or "dq" not in letters]
+    return products if letters == ["dq", "dq"] else np.hstack([*modulated, products])
 
 
 def _polynomials(rows: Rows, joint: int) -> Iterator[tuple[str, Array]]:
@@ -132,8 +150,8 @@ def _polynomials(rows: Rows, joint: int) -> Iterator[tuple[str, Array]]:
             odd = [x * np.abs(x), x**3] if j == joint else []  # the model has the others
             yield label, np.column_stack([np.sign(x), x, np.abs(x), *odd])
         else:
-            x = np.clip(2.0 * (values - low) / (high - low) - 1.0, -1.2, 1.2)
-            yield label, np.column_stack([x, 1.5 * x**2 - 0.5, 2.5 * x**3 - 1.5 * x])
+            x = np.clip(2.0 * (values - low) / (high - low) - 1.0, -1.0, 1.0)
+            yield label, chebvander(x, ANGLE_DEGREE if name == "q" else DEGREE)[:, 1:]
 
 
 def _along(rows: Rows, joint: int, field: str, j: int) -> Array:

@@ -1,7 +1,7 @@
 """A smooth function of one or two signals, for torque that no other effect describes."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import ClassVar
@@ -33,9 +33,9 @@ SIGNALS: dict[str, tuple[str, str, float]] = {
 }
 FADE = 0.1  # of a range: beyond its ends the function falls to zero over this distance
 SLOW = 0.1  # of the largest speed: knots of a speed are closer below it
-KNOTS = 8  # splines of one signal
+KNOTS, ANGLE_KNOTS = 8, 10  # splines of one signal; torque varies most along a turn
 ODD_KNOTS, EVEN_KNOTS = 6, 4  # splines of the speed that change sign with the velocity, and others
-PAIR_KNOTS = 5  # splines of each of two signals
+PAIR_KNOTS, FRICTION_KNOTS = 5, 8  # splines of each of two signals; of an angle beside a velocity
 GRID, PAIR_GRID = 400, 40  # points over each of one or two ranges where functions are orthogonal
 PAIR_REACH = 1.15  # radius in half ranges that two signals together reach: not their corners
 LEAST_ALONE, LEAST_TOGETHER = 1e-6, 5e-4  # part of the variance that a further function adds
@@ -77,9 +77,9 @@ class Smooth(Effect):
 
     The signals are part of the name: ``smooth/dq:3``, ``smooth/q.dq:3``, ``smooth/dq.q5:4`` (own
     signals without a number, those of another joint with its number). φ_k are cubic B-splines on a
-    few knots (products of polynomials of two signals), orthonormal over the range of the training
-    data, so that the root of Σ c_k² is the size in N·m. Functions of a velocity may jump where it
-    changes its sign. A constant, and what is linear in the joint's own velocity with its sign,
+    few knots (of two signals their products, where a velocity is dry and viscous friction that the
+    other signal modulates), orthonormal over the range of the training data, so that the root of
+    Σ c_k² is the size in N·m. Functions of a velocity may jump where it changes its sign. A constant, and what is linear in the joint's own velocity with its sign,
     acceleration or load, are left out: `offset`, `viscous`, `coulomb`, `armature` and the inertia
     describe them. The ends of the range (0.5th and 99.5th percentile) are stored with the fit;
     beyond them the function keeps its value and falls to zero within a tenth of the range.
@@ -113,7 +113,7 @@ class Smooth(Effect):
         self._signals = _parsed(self.option)
         self.formula = f"Σ c_k·φ_k({', '.join(self.option.split('.'))})"
         self._combination = _combination(
-            tuple(s.signed for s in self._signals), tuple(s.removed for s in self._signals)
+            tuple(s.name for s in self._signals), tuple(s.removed for s in self._signals)
         )
         self.coefficients = tuple(
             Coefficient(
@@ -136,8 +136,7 @@ class Smooth(Effect):
             source = s if signal.joint is None else s.joint(signal.joint)
             value = getattr(source, SIGNALS[signal.name][0])
             part, within = _place(signal, value, source.sign, shape)
-            sign = source.sign if signal.signed else None
-            own = _basis(part, sign, paired=len(self._signals) > 1)
+            own = _basis(signal.name, part, source.sign, [s.name for s in self._signals])
             products, inside = [a * b for a in products for b in own], inside * within
         combined = ca.mtimes(ca.SX(ca.DM(self._combination.T)), ca.vertcat(*products))
         return [inside * column for column in ca.vertsplit(combined)]
@@ -191,17 +190,23 @@ def _place(signal: _Signal, value: ca.SX, sign: ca.SX, shape: ShapeSymbols) -> t
     return place, 1 - beyond**2 * (3 - 2 * beyond)
 
 
-def _basis(place: ca.SX, sign: ca.SX | None, *, paired: bool) -> list[ca.SX]:
-    """Return the functions of one signal: of its place, and of its sign if it may jump there."""
-    if sign is None:
-        return _splines(place, PAIR_KNOTS if paired else KNOTS)
-    warped = ca.log1p(place / SLOW) / np.log1p(1 / SLOW)
-    if paired:
-        odd = [(1 - warped) ** 2, 2 * warped * (1 - warped), warped**2]
-        even = [1 - warped, warped]
-    else:
+def _basis(name: str, place: ca.SX, sign: ca.SX, names: Sequence[str]) -> list[ca.SX]:
+    """Return the functions of one of an effect's signals: of its place in its range, and its sign.
+
+    Beside another signal a velocity is dry and viscous friction, which the other one modulates: a
+    function of both that is free would extrapolate to speeds that were not seen at its place.
+    """
+    paired = len(names) > 1
+    if name == "dq" and paired:
+        return [sign, sign * place]
+    if name == "dq":
+        warped = ca.log1p(place / SLOW) / np.log1p(1 / SLOW)
         odd, even = _splines(warped, ODD_KNOTS), _splines(warped, EVEN_KNOTS)
-    return [*(sign * x for x in odd), *even]
+        return [*(sign * x for x in odd), *even]
+    if name == "q" and "dq" in names:
+        return _splines(place, FRICTION_KNOTS)
+    alone = ANGLE_KNOTS if name == "q" else KNOTS
+    return _splines(place, PAIR_KNOTS if paired else alone)
 
 
 def _splines(place: ca.SX, count: int) -> list[ca.SX]:
@@ -215,18 +220,18 @@ def _splines(place: ca.SX, count: int) -> list[ca.SX]:
 
 
 @lru_cache(maxsize=32)
-def _combination(signed: tuple[bool, ...], removed: tuple[bool, ...]) -> Array:
+def _combination(names: tuple[str, ...], removed: tuple[bool, ...]) -> Array:
     """Return the combinations (b, c) of products that are orthonormal over the range.
 
     They are orthogonal to a constant and to what other effects describe. Gram and Schmidt's
     procedure in a fixed order gives the same numbers on every machine, which a file with
     coefficients needs; a singular value decomposition does not.
     """
-    paired = len(signed) > 1
+    paired = len(names) > 1
     count = PAIR_GRID if paired else GRID
     axis = (2.0 * np.arange(count) + 1.0) / count - 1.0
-    factors = [_values(axis, each, paired) for each in signed]
-    known = [_described(axis, *each) for each in zip(signed, removed, strict=True)]
+    factors = [_values(axis, name, names) for name in names]
+    known = [_described(axis, *each) for each in zip(names, removed, strict=True)]
     if not paired:
         return _orthonormal(known[0], factors[0], LEAST_ALONE)
     a, b = (x.ravel() for x in np.meshgrid(axis, axis, indexing="ij"))
@@ -246,7 +251,9 @@ def _orthonormal(known: Array, given: Array, least: float) -> Array:
     Functions are values at points (P, b) of equal weight.
     """
     points, count = given.shape
-    removed = _gram_schmidt(known.T @ given / points, np.eye(count), 1e-9)
+    along = known.T @ given / points
+    along[np.abs(along) < ROUNDING * np.abs(given).max()] = 0.0  # by symmetry
+    removed = _gram_schmidt(along, np.eye(count), 1e-9) if along.any() else np.zeros((0, count))
     free = np.eye(count) - removed.T @ removed
     return _gram_schmidt(free, given.T @ given / points, least).T
 
@@ -266,17 +273,17 @@ def _gram_schmidt(vectors: Array, metric: Array, least: float) -> Array:
     return np.where(np.abs(combined) > ROUNDING * np.abs(combined).max(), combined, 0.0)
 
 
-def _values(axis: Array, signed: bool, paired: bool) -> Array:
+def _values(axis: Array, name: str, names: Sequence[str]) -> Array:
     """Return the functions of one signal (points, b) along its range, −1 to 1."""
     x = ca.SX.sym("x")
-    place, sign = (ca.fabs(x), ca.sign(x)) if signed else ((x + 1) / 2, None)
-    function = ca.Function("basis", [x], [ca.vertcat(*_basis(place, sign, paired=paired))])
+    place = ca.fabs(x) if name == "dq" else (x + 1) / 2
+    function = ca.Function("basis", [x], [ca.vertcat(*_basis(name, place, ca.sign(x), names))])
     return np.asarray(function(axis[None]).full().T)
 
 
-def _described(axis: Array, signed: bool, removed: bool) -> Array:
+def _described(axis: Array, name: str, removed: bool) -> Array:
     """Return what other effects describe (points, d): a constant, and the linear part."""
     parts = [np.ones_like(axis)]
     if removed:
-        parts += [axis, np.sign(axis)] if signed else [axis]
+        parts += [axis, np.sign(axis)] if name == "dq" else [axis]
     return np.column_stack(parts)

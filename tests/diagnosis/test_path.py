@@ -103,6 +103,24 @@ def test_effects_that_are_there_are_selected_in_every_path_and_noise_is_not_supp
             assert slot.deviations < 2.0
 
 
+def test_an_effect_is_judged_without_a_smooth_function_that_came_after_it_and_contains_it():
+    random = np.random.default_rng(5)
+    own = random.normal(size=(ROWS, 1))
+    effect = Candidate(Placement(make("viscous_asymmetric"), 0), np.zeros((1, 0)))
+    smooth = Candidate(Placement(make("smooth/dq.q2"), 0), np.zeros((1, 0)))
+    pieces = [[(0, own), (1, np.hstack([own + 1e-3 * random.normal(size=own.shape), own**2]))]]
+    columns = assemble([effect, smooth], [0, 1], [0, 0], [1, 2], pieces, [ROWS])
+    residual = random.normal(size=ROWS) + 0.5 * own[:, 0]
+    span = Span.of([random.normal(size=(ROWS, MODEL))], [residual])
+    held = np.array([np.arange(ROWS) * 10 // ROWS == k for k in range(10)])
+    folds = Folds(held, held, 0.0, np.array([100]))
+    for order, least in (([0, 1], 3.0), ([1, 0], -np.inf)):
+        slots = judge(span, columns, folds, order, [order] * 10, np.zeros((ROWS, 0)))
+        (found,) = (slot for slot in slots if slot.group == 0)
+        assert found.deviations > least
+    assert found.deviations < 2.0  # the function was there before it
+
+
 def test_a_compromise_of_two_causes_gives_way_to_them():
     model, residual, columns = problem(4)
     # The first column resembles the sum of two others and explains most alone.
