@@ -79,10 +79,11 @@ class Smooth(Effect):
     signals without a number, those of another joint with its number). φ_k are cubic B-splines on a
     few knots (of two signals their products, where a velocity is dry and viscous friction that the
     other signal modulates), orthonormal over the range of the training data, so that the root of
-    Σ c_k² is the size in N·m. Functions of a velocity may jump where it changes its sign. A constant, and what is linear in the joint's own velocity with its sign,
-    acceleration or load, are left out: `offset`, `viscous`, `coulomb`, `armature` and the inertia
-    describe them. The ends of the range (0.5th and 99.5th percentile) are stored with the fit;
-    beyond them the function keeps its value and falls to zero within a tenth of the range.
+    Σ c_k² is the size in N·m. Functions of a velocity may jump where it changes its sign. A
+    constant, and what is linear in the joint's own velocity with its sign, acceleration or load,
+    are left out: `offset`, `viscous`, `coulomb`, `armature` and the inertia describe them. The ends
+    of the range (0.5th and 99.5th percentile) are stored with the fit; beyond them the function
+    keeps its value and falls to zero within a tenth of the range.
     """
 
     name = "smooth"
