@@ -34,7 +34,7 @@ WRONG = 1.0 / 3.0
 SHOWS = 0.7
 #: The same for stated inertias, which are never exact.
 SHOWS_STATED = 0.4
-#: Error of stated centres of mass, m: a torque error that it gives is no finding.
+#: Error of stated centres of mass, m: a torque error that it gives on one joint is no finding.
 COM_ERROR, STANDARD_GRAVITY = 0.01, 9.81
 #: A finding needs a joint that shows it, and this decrease of the score.
 LEAST_SCORE = -0.6
@@ -312,7 +312,7 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
         shown = ratios[1] < SHOWS_STATED
         beyond = np.cumsum(full.robot.link_parameters[::10][::-1])[::-1]
         moved = COM_ERROR * STANDARD_GRAVITY * beyond
-        if not np.any((ratios[1] < SHOWS) & (before.rms[1] > moved)):
+        if shown.sum() < 2 and not np.any((ratios[1] < SHOWS) & (before.rms[1] > moved)):
             return None
         plain = (before.relative[1] > match.SOUND) | ((before.driven < 0) & (after.driven > 0))
         certain &= shown.sum() > 1 or bool(np.any(shown & plain))

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hidden_effects.arms import load_arm
+from hidden_effects.case_setup import Case
+from hidden_effects.generator import draw
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -126,6 +128,15 @@ def test_reversed_torques_are_certain_by_friction(run, masses):
     assert (found.verdict, first.premise) == ("wrong", "torque_sign")
     assert "friction would drive" in first.sentence
     assert first.remedy == "--torque-sign -1 -1 -1 -1 -1 -1"
+
+
+def test_small_torques_of_several_joints_show_a_unit():
+    """A centre of mass beside the stated one explains each of them, not all."""
+    drawn = draw(Case("none", 5112))
+    light = plant.measure(drawn.arms[0], drawn.motions[0], drawn.sensors, seed=5012)
+    assert drawn.arm_name == "rail"
+    found = lieid.check(load_arm("rail"), replace(light, tau=light.tau / 12.0))
+    assert [f.premise for f in found.findings] == ["torque_unit"]
 
 
 def test_delays_and_velocities(run):
