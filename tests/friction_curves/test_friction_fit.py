@@ -61,19 +61,6 @@ def test_friction_at_any_speed_and_load(fit):
     np.testing.assert_allclose(fit.friction(speed, load=load), friction(speed, load), rtol=0.02)
 
 
-def test_linear_models_are_weighted_least_squares(curve):
-    """Against columns written by hand at the points, which the filter hardly changes."""
-    fit = fit_friction(curve, "coulomb,viscous,load_friction")
-    columns = np.column_stack([np.ones(len(curve)), curve.speed, curve.load])
-    weight = 1.0 / curve.std
-    by_hand = np.linalg.lstsq(columns * weight[:, None], curve.friction * weight, rcond=None)[0]
-    np.testing.assert_allclose(fit.coefficients, by_hand, rtol=0.01)
-    residual = curve.friction - columns @ by_hand
-    assert fit.rms == pytest.approx(np.sqrt(np.mean(residual**2)), rel=0.02)
-    expected = np.corrcoef(curve.friction, columns @ by_hand)[0, 1]
-    assert fit.correlation == pytest.approx(expected, abs=1e-3)
-
-
 def test_the_papers_model_fits_equally_with_more_parameters(curve, fit):
     paper = fit_friction(curve, "viscous,viscous_polynomial,stribeck/two_width,load_friction/paper")
     assert len(paper.parameters) == 10
