@@ -94,7 +94,7 @@ def judge(
     folds: Folds,
     whole: Sequence[int],
     parts: Sequence[Sequence[int]],
-    late: Array,
+    friction: Mapping[str, Array],
 ) -> tuple[Slot, ...]:
     """Return the effects of the path on all rows with their gains on the held-out parts.
 
@@ -108,16 +108,21 @@ def judge(
         Groups of the path on all rows.
     parts : sequence of sequence of int
         Groups of the path that does not use each part.
-    late : (R, n)
-        Change of torque if the dry friction of each joint is late. A delay must explain more than
-        that: a joint that sticks for less than a sample at its reversals looks the same there.
+    friction : mapping of (R, n)
+        Change of torque if the dry friction of each joint is ``late`` or ``early``, or by that at
+        ``rest``. A delay must explain more than the first: a joint that sticks for less than a
+        sample at its reversals looks the same there. A dead band must explain more than all:
+        friction of simulators is early (MuJoCo's ``solreffriction``), and a joint at rest needs no
+        torque of its drive either.
     """
     if not whole:
         return ()
     every = list(dict.fromkeys([*whole, *(g for path in parts for g in path)]))
     outside = {g: span.outside(columns.stacked(g)) for g in every}
-    outside |= {-1 - j: span.outside(late[:, [j]]) for j in range(late.shape[1])}
     n = len(span.ends) - 1
+    places = {kind: [-1 - k * n - j for j in range(n)] for k, kind in enumerate(friction)}
+    for kind, columns_of in friction.items():
+        outside |= {g: span.outside(columns_of[:, [j]]) for j, g in enumerate(places[kind])}
     together = np.hstack([outside[g] for g in whole])
     both = solved(together.T @ together, together.T @ span.residual)
     ends = np.cumsum([outside[g].shape[1] for g in whole])[:-1]
@@ -127,14 +132,15 @@ def judge(
     gains = np.zeros((len(whole), folds.count))
     before, after = np.zeros((2, len(whole), n))
     for k, path in enumerate(parts):
-        frictions = [-1 - j for j in range(late.shape[1])]
+        frictions = [g for own in places.values() for g in own]
         held = HeldOut(span, folds, k, {g: outside[g] for g in (*path, *frictions)})
         plain = held.squares(path)
         for e, group in enumerate(whole):
             mine = members[k][group]
             candidate = columns.candidate(group)
             own = _joints_of(candidate, n)
-            beside = [-1 - j for j in own] if candidate.effect.delays_torque else []
+            kinds = candidate.effect.like_uncertain_friction
+            beside = [places[kind][j] for kind in kinds for j in own]
             used = _without_later_functions(path, mine, columns)
             complete = plain
             if beside or len(used) < len(path):

@@ -218,7 +218,7 @@ class MissingEffects:
             gain = self._motion_gain(others, fit, found.joint)
             if gain is None:
                 continue
-            if not gain.fall > 0.0:
+            if not gain.fall > self.options.worth:
                 self.rejected[label] = (
                     "the simulated motion on held-out data is no better with it (its error falls "
                     f"by {100 * gain.fall:.1f} ± {100 * gain.std:.1f} %)"

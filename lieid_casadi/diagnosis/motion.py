@@ -5,7 +5,8 @@ the training recordings, each within one held-out part, are simulated from measu
 coefficients of the effects that follow from the data outside of that part (one step of Newton's
 method from the fit; link and shape parameters remain). As elsewhere in a diagnosis, the gain is the
 mean of the logarithm of a part's error without an effect over that with it: an effect that acts at
-times, such as saturation, is not hidden by the scatter of its gain.
+times, such as saturation, is not hidden by the scatter of its gain. The error of a part is that at
+all instants of its windows: at their ends alone, some are near zero by chance.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.simulation.runs import (
     Run,
-    end_errors,
     require_positive_mass_matrix,
     run_of,
+    window_errors,
     with_coefficients,
 )
 
@@ -73,11 +74,11 @@ class UnseenMotion:
         return MotionGain.of(self._errors(before), self._errors(after), self.window, parts, joint)
 
     def _errors(self, fit: Fit) -> Array:
-        """Return simulated minus measured positions (W, n) at the windows' ends."""
+        """Return simulated minus measured positions (W, T, n) in the windows."""
         require_positive_mass_matrix(fit, [run for run, _, _ in self.windows])
         fits = self._fits_without(fit)
         return np.concatenate(
-            [end_errors([fits[k] for k in p], run, s) for run, s, p in self.windows if len(s)]
+            [window_errors([fits[k] for k in p], run, s) for run, s, p in self.windows if len(s)]
         )
 
     def _fits_without(self, fit: Fit) -> list[Fit]:

@@ -15,6 +15,7 @@ from lieid_casadi.diagnosis.columns import Columns, ColumnStore, evaluate, scan_
 from lieid_casadi.diagnosis.effect_columns import SegmentSignals
 from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
+from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.design_matrix import Design, FilteredColumns
 from lieid_casadi.identification.regression.least_squares import Rows as DesignRows
 from lieid_casadi.identification.regression.variable_projection import shape_columns
@@ -29,6 +30,8 @@ from lieid_casadi.identification.uncertainty.noise_model import (
 from lieid_casadi.recording import Processed
 
 Indices = NDArray[np.intp]
+
+EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, by default
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,12 +176,36 @@ class Rows:
         A joint sticks for a moment at a reversal, until the torque of its drive has changed by
         twice the level of dry friction; positions do not show such a moment of one sample.
         """
+        return self._shifted_friction(0.0)
+
+    @cached_property
+    def early_friction(self) -> tuple[Array, ...]:
+        """The same of dry friction that is early, as that of MuJoCo is by default."""
+        return self._shifted_friction(EARLY)
+
+    @cached_property
+    def friction_at_rest(self) -> tuple[Array, ...]:
+        """What the residual at rest, where friction is undetermined, adds to rows beside it, N·m.
+
+        These samples are not used, but the low-pass filter mixes them with their neighbours.
+        """
+        parts = []
+        for s in self.segments:
+            assert s.tau is not None  # of a recording that is fitted
+            torque = torque_along(self.fit.compiled, s, self.fit.parameters, self.fit.shapes)
+            parts.append(s.filter(np.where(s.moving, 0.0, s.tau - torque)))
+        rest = np.concatenate(parts)
+        return tuple(rest[run.all, j] for j, run in enumerate(self.runs))
+
+    def _shifted_friction(self, early: float) -> tuple[Array, ...]:
+        """Return the change if dry friction is a sample late, or ``early`` by so many seconds."""
         fit, parts = self.fit, []
         for segment in self.segments:
             level = dry_level(fit.compiled, segment, fit.shapes, fit.parameters)
             friction = np.where(segment.moving, level * expected_sign(segment), 0.0)
-            late = np.vstack([friction[:1], friction[:-1]])
-            parts.append(segment.filter((late - friction) * segment.rate))
+            shift = -max(1, round(early * segment.rate)) if early else 1
+            rows = np.clip(np.arange(len(friction)) - shift, 0, len(friction) - 1)
+            parts.append(segment.filter((friction[rows] - friction) * segment.rate / shift))
         change = np.concatenate(parts)
         return tuple(change[run.all, j] for j, run in enumerate(self.runs))
 

@@ -135,14 +135,17 @@ def _judged(
     kept = np.union1d(_promising(paths, whole, rules), _promising(paths, other, rules))
     few = Paths(paths.span, paths.columns.of_groups(kept), folds.out)
     of_few = _rules(few.columns, rows, options, dependence[kept])
-    late = _late_friction(paths.span, rows, spread)
+    kinds = {
+        "late": rows.late_friction, "early": rows.early_friction, "rest": rows.friction_at_rest,
+    }  # fmt: skip
+    friction = {k: _in_span(paths.span, x, rows.weights(spread)) for k, x in kinds.items()}
 
     def outside(smooth_first: Collection[int]) -> list[list[int]]:
         found = (forward(few, k, of_few, smooth_first=smooth_first) for k in range(folds.count))
         return [kept[list(path)].tolist() for path in found]
 
     def judged(path: Sequence[int], parts: Sequence[Sequence[int]]) -> tuple[Slot, ...]:
-        return judge(paths.span, paths.columns, folds, path, parts, late)
+        return judge(paths.span, paths.columns, folds, path, parts, friction)
 
     parts = outside(())
     slots = judged(whole, parts)
@@ -195,12 +198,12 @@ def _promising(paths: Paths, whole: Sequence[int], rules: Rules) -> NDArray[np.i
     return np.flatnonzero(near)
 
 
-def _late_friction(span: Span, rows: Rows, spread: Array) -> Array:
-    """Return the weighted change of torque (R, n) if the dry friction of each joint is late."""
-    late = np.zeros((len(span.joint_of), len(rows.runs)))
-    for j, (own, weight) in enumerate(zip(rows.late_friction, rows.weights(spread), strict=True)):
-        late[span.joint(j), j] = own * weight
-    return late
+def _in_span(span: Span, changes: Sequence[Array], weights: Sequence[Array]) -> Array:
+    """Return weighted changes of each joint's torque as columns (R, n)."""
+    found = np.zeros((len(span.joint_of), len(weights)))
+    for j, (own, weight) in enumerate(zip(changes, weights, strict=True)):
+        found[span.joint(j), j] = own * weight
+    return found
 
 
 def _with_single_recordings(rows: Rows) -> Rows:

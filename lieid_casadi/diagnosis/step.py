@@ -84,8 +84,9 @@ class MotionGain:
     """How much better a second fit predicts the motion of the same windows of recordings.
 
     ``before`` and ``after`` (n,) are the RMS errors of the position at the windows' ends, rad.
-    ``fall`` is the mean of ln(before/after) over parts of the time, of one joint or over all of
-    them, ``std`` its standard error over the parts; ``window`` is the windows' length, s.
+    ``fall`` is the mean over parts of the time of ln(before/after), of the RMS errors at all
+    instants of the part's windows, of one joint or over all of them; ``std`` is its standard
+    error over the parts, ``window`` the windows' length, s.
     """
 
     before: Array
@@ -98,10 +99,10 @@ class MotionGain:
     def of(
         cls, before: Array, after: Array, window: float, parts: Indices, joint: int | None = None
     ) -> MotionGain:
-        """Compare errors (W, n) of two fits at the ends of windows, rad, in parts (W,) of time."""
+        """Compare errors (W, T, n) of two fits in windows, rad, in parts (W,) of time."""
 
         def rms(errors: Array) -> Array:
-            return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
+            return np.asarray(np.sqrt(np.mean(errors**2, axis=(0, 1))))
 
         def logarithms(errors: Array) -> Array:
             finite = np.nan_to_num(errors, nan=FARTHEST)  # a motion that has left every range
@@ -111,7 +112,8 @@ class MotionGain:
         every = logarithms(before) - logarithms(after)
         falls = np.mean(every, axis=1) if joint is None else every[:, joint]
         std = float(falls.std(ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else np.inf
-        return cls(rms(before), rms(after), float(falls.mean()), std, window)
+        ends = rms(before[:, -1:]), rms(after[:, -1:])
+        return cls(*ends, float(falls.mean()), std, window)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers for JSON; angles in rad."""

@@ -25,6 +25,7 @@ class Deadband(ArmEffect):
     formula = "K·clip(q_cmd − q, ±d)"
     coefficients = (Coefficient("d", "rad", lower=0.0, meaning="half width of the dead band"),)
     commanded = True
+    like_uncertain_friction = ("late", "early", "rest")  # errors are small near reversals
     reach = "joint"
     export_note = "omitted: the torque is that which the drives deliver"
     revealed_by = "position errors of both signs: slow motion, loads of both signs"

@@ -241,9 +241,9 @@ class Effect(ABC):
     on_torque_signal : bool
         Whether it acts on the signal of a torque sensor or current, which arms under position
         control do not have.
-    delays_torque : bool
-        Whether it delays the torque, so that a joint that sticks for a moment at reversals looks
-        the same on its dry friction.
+    like_uncertain_friction : tuple of str
+        ``late``, ``early``: dry friction that reverses so looks much the same; ``rest``: friction
+        at rest does. A diagnosis counts what the effect explains besides.
     energy : str or None
         ``"armature"`` or ``"offset"`` if link parameters can produce the same torque.
     option : str
@@ -295,7 +295,7 @@ class Effect(ABC):
     per_recording: ClassVar[bool] = False
     commanded: ClassVar[bool] = False
     on_torque_signal: ClassVar[bool] = False
-    delays_torque: ClassVar[bool] = False
+    like_uncertain_friction: ClassVar[tuple[str, ...]] = ()
     energy: ClassVar[str | None] = None
     option: str = ""
     options: ClassVar[Mapping[str, str]] = {}

@@ -32,7 +32,7 @@ class TorqueDelay(ArmEffect):
     reach = "joint"
     needs_past = True
     on_torque_signal = True
-    delays_torque = True
+    like_uncertain_friction = ("late",)
     export_note = "omitted: the torque is that of the instant, without the delay of its measurement"
     trial_values = ((-0.02,), (-0.005,), (0.005,), (0.01,), (0.02,), (0.04,), (0.08,))
     revealed_by = "fast changes of torque: high accelerations, reversals, rates above 100 Hz"

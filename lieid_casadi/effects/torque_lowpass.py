@@ -36,7 +36,7 @@ class TorqueLowpass(ArmEffect):
     }
     needs_past = True
     on_torque_signal = True
-    delays_torque = True
+    like_uncertain_friction = ("late",)
     export_note = "omitted: the torque is that of the instant, without the filter of its signal"
     trial_values = ((0.003,), (0.01,), (0.02,), (0.04,), (0.08,))
     revealed_by = "torque that changes quickly: high accelerations, reversals, rates above 100 Hz"

@@ -182,7 +182,8 @@ def motions(
     )  # fmt: skip
 
 
-def end_errors(fits: Sequence[Fit], run: Run, starts: Indices) -> Array:
-    """Return simulated minus measured positions (W, n) at the ends of windows; see `motions`."""
-    ends = motions(fits, run, starts)[-1, :, : fits[0].model.n]
-    return np.asarray(ends - run.segment.q[starts + run.per_window])
+def window_errors(fits: Sequence[Fit], run: Run, starts: Indices) -> Array:
+    """Return simulated minus measured positions (W, T, n) in windows, after their starts."""
+    path = motions(fits, run, starts)[1:, :, : fits[0].model.n]
+    rows = starts + np.arange(1, run.per_window + 1)[:, None]
+    return np.asarray((path - run.segment.q[rows]).transpose(1, 0, 2))

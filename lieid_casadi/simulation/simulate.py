@@ -29,11 +29,11 @@ from lieid_casadi.simulation.integration import Input
 from lieid_casadi.simulation.play import LARGEST, Coordinates, plays_of
 from lieid_casadi.simulation.runs import (
     Run,
-    end_errors,
     input_of,
     motions,
     require_positive_mass_matrix,
     runs_of,
+    window_errors,
 )
 from lieid_casadi.tables import Table, html, make_table
 
@@ -318,4 +318,6 @@ def _nominal_drift(fit: Fit, runs: Sequence[Run]) -> Drift | None:
         require_positive_mass_matrix(nominal, runs)
     except ModelError:
         return Drift.unknown(robot.n)
-    return Drift.of(np.concatenate([end_errors([nominal], run, run.starts) for run in runs]))
+    return Drift.of(
+        np.concatenate([window_errors([nominal], run, run.starts)[:, -1] for run in runs])
+    )

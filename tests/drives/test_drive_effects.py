@@ -5,6 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from benchmarks import so101
 from drives.commanded import LAWS, TWO_LINK, commanded, measured
 
 import lieid_casadi as lieid
@@ -286,14 +287,15 @@ def test_rotor_inertia_is_a_default_effect_where_torque_is_that_of_a_law(runs):
 def test_a_gain_that_shows_at_times_counts_against_a_steady_one():
     """Saturation acts in some windows: their mean square alone would be within its scatter."""
     random = np.random.default_rng(0)
-    after, parts = random.normal(size=(40, 1)), np.arange(40) // 4
+    after, parts = random.normal(size=(40, 1, 1)), np.arange(40) // 4
     before = (
-        after * np.repeat(random.permutation([20.0, 9.0, 4.0, 2.0, 1.3] + 5 * [1.02]), 4)[:, None]
+        after
+        * np.repeat(random.permutation([20.0, 9.0, 4.0, 2.0, 1.3] + 5 * [1.02]), 4)[:, None, None]
     )
     gain = MotionGain.of(before, after, 1.0, parts)
     assert gain.fall > 2.0 * gain.std
     assert gain.fall == pytest.approx(np.log([20.0, 9.0, 4.0, 2.0, 1.3] + 5 * [1.02]).mean())
-    squares = np.mean(before**2 - after**2, axis=1)
+    squares = np.mean(before**2 - after**2, axis=(1, 2))
     assert squares.mean() < 2.0 * squares.std(ddof=1) / np.sqrt(40)
 
 
@@ -321,6 +323,16 @@ def test_effects_without_a_physically_consistent_fit_are_refused(runs, monkeypat
     found = lieid.diagnose(lieid.Model(ROBOT, BASE), train)
     assert len(found.steps) <= 1
     assert "no physically consistent fit with it was found" in dict(found.rejected).values()
+
+
+@pytest.mark.slow
+def test_friction_in_mujoco_is_no_dead_band(monkeypatch):
+    """By default it opposes the velocity 10 ms later, so that it reverses before the velocity."""
+    for name, value in {"PLAY": 0.0, "DELAY": 0.0, "RATE": 250.0, "SEED": 22}.items():
+        monkeypatch.setattr(so101, name, value)
+    train = so101.recorded(1, 15.0)[0].with_drives(so101.ROBOT.drives)
+    found = lieid.diagnose(lieid.Model(so101.ROBOT, so101.EFFECTS), train, method="feasible")
+    assert not [step.label for step in found.steps]
 
 
 @pytest.mark.slow
