@@ -80,6 +80,7 @@ def the_first_model_is_compared_with_it(page, before, after):
 
 def the_atlas_describes_the_effect(page):
     """The link of an effect opens its page, which the server serves."""
+    page.driver.execute_script("scrollTo(0, 0)")  # the toolbar covers what is scrolled below it
     page.click("atlas-load_friction-1", done=lambda: len(page.driver.window_handles) > 1)
     first, atlas = page.driver.window_handles[:2]
     page.driver.switch_to.window(atlas)
