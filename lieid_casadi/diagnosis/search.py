@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,12 @@ REFINEMENT = (1 / 3, 2 / 3)  # positions between two grid points
 #: decides the coefficient.
 LEAST_SUPPORT = 5.0
 PROMISING = 0.5  # of its penalty that a group must gain to be in the paths outside held-out parts
+#: What dry friction may do beside the model, by the names that effects have for it.
+UNCERTAIN_FRICTION = {
+    "late": attrgetter("late_friction"),
+    "early": attrgetter("early_friction"),
+    "rest": attrgetter("friction_at_rest"),
+}
 LEAST_RIVAL = 0.5  # of the gain of a group of the path: rivals from here are refined, too
 
 
@@ -135,10 +142,11 @@ def _judged(
     kept = np.union1d(_promising(paths, whole, rules), _promising(paths, other, rules))
     few = Paths(paths.span, paths.columns.of_groups(kept), folds.out)
     of_few = _rules(few.columns, rows, options, dependence[kept])
-    kinds = {
-        "late": rows.late_friction, "early": rows.early_friction, "rest": rows.friction_at_rest,
-    }  # fmt: skip
-    friction = {k: _in_span(paths.span, x, rows.weights(spread)) for k, x in kinds.items()}
+    kinds = {kind for c in rows.columns.owners for kind in c.effect.like_uncertain_friction}
+    friction = {
+        kind: _in_span(paths.span, UNCERTAIN_FRICTION[kind](rows), rows.weights(spread))
+        for kind in sorted(kinds)
+    }
 
     def outside(smooth_first: Collection[int]) -> list[list[int]]:
         found = (forward(few, k, of_few, smooth_first=smooth_first) for k in range(folds.count))
