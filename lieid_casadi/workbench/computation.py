@@ -59,8 +59,8 @@ from lieid_casadi.workbench.session import (
 Kind = Literal["fit", "report", "c", "urdf", "mjcf"]
 Kept = TypeVar("Kept")
 QUICK_ROWS = 60_000  # of all recordings, above which a part of them chooses the filter
-PART_ROWS = 30_000  # of the grid, in each of two parts of which models with shapes are first fitted
-SHAPE_ROWS = 10_000  # of each of these parts, which shape parameters are found on
+PART_ROWS = 15_000  # of the grid, in each of two parts of which models with shapes are first fitted
+SHAPE_ROWS = 5_000  # of each of these parts, which shape parameters are found on
 KEPT_RESULTS, KEPT_PREPARED = 40, 8  # of each kind; of processed recordings, which are large
 MOST_STRETCHES = 8  # of each recording in such a part
 LEAST_DURATION = 5.0  # s, of a stretch; the filter needs a second at each of its ends
@@ -241,7 +241,7 @@ class Computation:
         train = self._prepared("train", step, first, 1.0)
         rows = sum(len(segment.q) for segment in train.segments)
         fitted = np.array([shape.fitted for shape in model.shapes], dtype=bool)
-        if rows <= 2 * SHAPE_ROWS or not fitted.any():
+        if rows <= 4 * SHAPE_ROWS or not fitted.any():
             return [train.fitted(model, first, uncertainty=False, report=report)]
         fits = []
         for delay in (0.0, 0.5):

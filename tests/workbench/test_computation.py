@@ -77,7 +77,7 @@ def test_errors_are_those_of_identify_and_compare(computation, first, two_link_f
     np.testing.assert_allclose(shown.errors.shown, lieid.compare(larger, test).rms_moving)
 
 
-@pytest.mark.parametrize(("most", "at_once"), [(700, False), (10**6, True)])
+@pytest.mark.parametrize(("most", "at_once"), [(350, False), (10**6, True)])
 def test_a_quick_model_with_shapes_is_fitted_to_two_parts_of_long_recordings(
     inputs, first, monkeypatch, most, at_once
 ):
