@@ -6,9 +6,10 @@ through a pipe replaces attributes of `ExperimentState`; the user's answer is se
 
 from __future__ import annotations
 
-import asyncio
 import os
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import resources
@@ -59,11 +60,13 @@ def serve_experiment(pipe: Connection, port: int, state: ExperimentState) -> Non
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # stdout is the command's
 
     def received() -> None:
-        try:
-            while pipe.poll():
+        with suppress(EOFError, OSError):  # the command has ended
+            while True:
                 vars(state).update(pipe.recv())
-        except (EOFError, OSError):  # the command has ended
-            os._exit(0)
+        os._exit(0)
+
+    # not as a reader of the event loop, which reads without waiting: a large message comes in parts
+    threading.Thread(target=received, daemon=True).start()
 
     def pages(token: str) -> None:
         @ui.page("/", title="lieid experiment")
@@ -73,10 +76,6 @@ def serve_experiment(pipe: Connection, port: int, state: ExperimentState) -> Non
         @app.get("/mesh/{number}.stl")
         def mesh(number: int) -> Response:
             return mesh_file(state.meshes, number)
-
-        @app.on_startup
-        def listen() -> None:
-            asyncio.get_running_loop().add_reader(pipe.fileno(), received)
 
     try:
         serve_pages(pages, port, ready=pipe.send, close=lambda: None)

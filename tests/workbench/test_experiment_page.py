@@ -3,7 +3,7 @@
 The experiment behind the page is a prepared one: what a diagnosis finds belongs to other tests.
 """
 
-from multiprocessing import Pipe
+from multiprocessing import Pipe, get_context
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,6 +19,7 @@ from lieid_casadi.cli.main import main
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.experiments import PlannedMotion, Purpose
+from lieid_casadi.workbench.experiment_page import ExperimentState, serve_experiment
 
 RECORD = "cp {trajectory} {recording}"
 
@@ -55,6 +56,23 @@ def test_the_page_shows_why_an_experiment_failed(monkeypatch, capsys, tmp_path):
     assert main([*words, "--page", str(free_port())]) == 3
     assert ends == [("The experiment failed: no motion within the limits",)]
     assert "no motion within the limits" in capsys.readouterr().err
+
+
+def test_large_messages_arrive_whole_and_the_page_ends_with_the_command(tmp_path):
+    context = get_context("spawn")
+    ours, theirs = context.Pipe()
+    state = ExperimentState("two_link", tmp_path, (), unattended=False)
+    process = context.Process(target=serve_experiment, args=(theirs, free_port(), state))
+    process.start()
+    theirs.close()
+    assert ours.recv().startswith("http://127.0.0.1:")
+    for _ in range(5):
+        ours.send({"stage": "x" * 10**7})
+    process.join(1.0)
+    assert process.is_alive()
+    ours.close()
+    process.join(60.0)
+    assert process.exitcode == 0
 
 
 def test_the_user_pauses_continues_and_ends():
