@@ -79,8 +79,9 @@ def represented(found: Round, slots: Sequence[Slot], deviations: float) -> list[
         rivals = [g for g, _ in rivals_of(found, slot, others, deviations)]
         cost = found.columns.parameters
         best = min([slot.group, *rivals], key=lambda g: cost[g])
+        kept = [*others, *(each.group for each in simplest)]
         taken = found.columns.candidate(best).label in {
-            found.columns.candidate(g).label for g in others
+            found.columns.candidate(g).label for g in kept
         }
         if taken or best == slot.group:
             simplest.append(slot)

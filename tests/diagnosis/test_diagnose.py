@@ -6,6 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from experiments.arms import arm as stribeck_arm
+from experiments.arms import sines
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -166,6 +168,14 @@ def test_nothing_hidden_is_sufficient(seed):
     diagnosis = diagnosis_of(seed=seed)
     assert diagnosis.steps == ()
     assert diagnosis.verdict == "sufficient"
+
+
+def test_a_robot_stands_for_its_model_without_effects():
+    """Two effects of one path have the same simplest rival, which is added once."""
+    diagnosis = lieid.diagnose(ROBOT, sines(stribeck_arm()))
+    labels = [step.label for step in diagnosis.steps]
+    assert {"coulomb:1", "coulomb:2"} <= set(labels)
+    assert len(set(labels)) == len(labels)
 
 
 def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
