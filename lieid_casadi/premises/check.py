@@ -290,6 +290,8 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
     ratios = after.relative / before.relative
     if alternative.premise == "joint_coupling":  # it changes the torque that errors are relative to
         ratios = np.maximum(ratios, ratios * after.scale / before.scale)
+        if ratios[0, alternative.joints[1]] > 1.0:
+            return None  # a true position explains the torque of its own joint, too
     clear = score <= LEAST_SCORE
     shown_free = (ratios[0] < SHOWS) & (before.relative[0] > LEAST_BEFORE)
     unlike = (match.unexplained(before) or 0.0) > match.SOUND
