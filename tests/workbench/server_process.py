@@ -211,7 +211,8 @@ class Page:
             time.sleep(0.05)
         shown = "document.body ? document.body.innerText : ''"
         text = " | ".join(str(self.driver.execute_script(f"return {shown}")).split("\n"))
-        messages = [entry["message"] for entry in self.driver.get_log("browser")]
+        every = (entry["message"][:200] for entry in self.driver.get_log("browser"))
+        messages = list(dict.fromkeys(every))[:10]
         return pytest.fail(
             f"{what or 'condition'} not met in {timeout:.0f} s; {last}; {messages}; page: {text}"
         )
