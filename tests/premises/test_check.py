@@ -130,6 +130,14 @@ def test_reversed_torques_are_certain_by_friction(run, masses):
     assert first.remedy == "--torque-sign -1 -1 -1 -1 -1 -1"
 
 
+def test_a_coupling_that_its_own_joint_does_not_show_is_none():
+    """Torque of joint 5 at low speeds resembles that of a wrist whose motor moves joint 6, too."""
+    drawn = draw(Case("none", 30106))
+    recording = plant.measure(drawn.arms[0], drawn.motions[0], drawn.sensors, seed=30006)
+    found = lieid.check(load_arm(drawn.arm_name), recording).findings
+    assert [finding.premise for finding in found] == []
+
+
 def test_small_torques_of_several_joints_show_a_unit():
     """A centre of mass beside the stated one explains each of them, not all."""
     drawn = draw(Case("none", 5112))
