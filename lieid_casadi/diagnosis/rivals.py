@@ -73,7 +73,7 @@ def represented(found: Round, slots: Sequence[Slot], deviations: float) -> list[
     The simplest of equals represents them.
     """
     groups = [slot.group for slot in slots]
-    simplest = []
+    simplest: list[Slot] = []
     for slot in slots:
         others = [g for g in groups if g != slot.group]
         rivals = [g for g, _ in rivals_of(found, slot, others, deviations)]
