@@ -97,7 +97,7 @@ def diagnose_changed(
             "rms_cv": None,
         },
         expected=expected,
-        tried=len(found.columns.owners),
+        tried=len(found.paths.columns.owners),
         absorbed=absorbed,
         weak=weak,
         warnings=unique_warnings(
@@ -151,7 +151,7 @@ def _changes(
         for change in reversed(changes):
             reason = _reason(found, changes, change, raised, most, options)
             if reason is not None:
-                rejected[found.columns.candidate(change.slot.group).label] = reason
+                rejected[found.candidate(change.slot.group).label] = reason
                 slots = [slot for slot in slots if slot is not change.slot]
                 break
         else:
@@ -168,9 +168,9 @@ def _reason(
     options: DiagnosisOptions,
 ) -> str | None:
     """Return why a change is left out, or None."""
-    candidate, slot = found.columns.candidate(change.slot.group), change.slot
+    candidate, slot = found.candidate(change.slot.group), change.slot
     reason = reason_against(
-        candidate, found.columns.shapes(slot.group), change.values, found.rows.segments
+        candidate, found.paths.columns.shapes(slot.group), change.values, found.rows.segments
     )
     if reason is not None:
         return reason
@@ -187,10 +187,10 @@ def _fitted(found: Round, slots: Sequence[Slot]) -> list[_Change]:
     """Return changes with coefficients fitted together, within the fit's uncertainty."""
     if not slots:
         return []
-    columns = [found.span.outside(found.columns.stacked(slot.group)) for slot in slots]
+    columns = [found.paths.outside(slot.group) for slot in slots]
     together = np.hstack(columns)
     gram = together.T @ together
-    values = solved(gram, together.T @ found.span.residual)
+    values = solved(gram, together.T @ found.paths.span.residual)
     variance = np.diag(np.linalg.pinv(gram, hermitian=True))
     ends = np.cumsum([c.shape[1] for c in columns])[:-1]
     return [
@@ -208,12 +208,10 @@ def _falls(found: Round, changes: Sequence[_Change], one: _Change) -> Array:
     is without the torque of the one. So neither an error that the uncertain parameters explain
     hides a change, nor do these parameters take the place of its torque.
     """
-    span = found.span
-    rest = span.residual - sum(
-        span.outside(found.columns.stacked(c.slot.group)) @ c.values for c in changes
-    )
+    span = found.paths.span
+    rest = span.residual - sum(found.paths.outside(c.slot.group) @ c.values for c in changes)
     torque = np.zeros(len(rest))
-    own = found.columns.stacked(one.slot.group) @ one.values
+    own = found.paths.columns.stacked(one.slot.group) @ one.values
     torque[: len(own)] = own
     after, before = (_by_joint(found, x) for x in (rest, rest + torque))
     return 1.0 - np.divide(after, before, out=np.ones(len(after)), where=before > 0.0)
@@ -221,13 +219,13 @@ def _falls(found: Round, changes: Sequence[_Change], one: _Change) -> Array:
 
 def _by_joint(found: Round, rest: Array) -> Array:
     """Return the weighted RMS of each joint (n,); 0 without rows."""
-    rows = [rest[found.span.joint(j)] for j in range(len(found.span.ends) - 1)]
+    rows = [rest[found.paths.span.joint(j)] for j in range(len(found.paths.span.ends) - 1)]
     return np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in rows])
 
 
 def _torques(found: Round, changes: Sequence[_Change]) -> list[Array]:
     """Return the weighted torque of each change on all rows."""
-    return [found.columns.stacked(c.slot.group) @ c.values for c in changes]
+    return [found.paths.columns.stacked(c.slot.group) @ c.values for c in changes]
 
 
 def _residuals(rows: Rows, expected: Array, torques: Sequence[Array]) -> list[Array]:
@@ -250,9 +248,9 @@ def _errors(found: Round, changes: Sequence[_Change]) -> tuple[Array, Array]:
     First of the kept model, then without what the uncertainty of its parameters explains.
     """
     torques = _torques(found, changes)
-    rest = found.span.residual - sum(
-        (found.span.outside(found.columns.stacked(c.slot.group)) @ c.values for c in changes),
-        start=np.zeros(len(found.span.residual)),
+    rest = found.paths.span.residual - sum(
+        (found.paths.outside(c.slot.group) @ c.values for c in changes),
+        start=np.zeros(len(found.paths.span.residual)),
     )
     return _misfit(found.rows, found.spread, torques), _by_joint(found, rest)
 
@@ -311,8 +309,8 @@ def _steps(
 
 def _numbers(found: Round, change: _Change, factor: float) -> dict[str, tuple[float, float]]:
     """Return value and standard deviation of each parameter of a change by name."""
-    effect = found.columns.candidate(change.slot.group).effect
-    shapes = found.columns.shapes(change.slot.group)[: len(effect.shapes)]
+    effect = found.candidate(change.slot.group).effect
+    shapes = found.paths.columns.shapes(change.slot.group)[: len(effect.shapes)]
     values = {
         c.name: (float(v), factor * float(s))
         for c, v, s in zip(effect.coefficients, change.values, change.std, strict=True)

@@ -20,7 +20,7 @@ from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.folds import Folds
 from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Span
+from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Paths, Span
 from lieid_casadi.effects.smooth import Smooth
 
 DEPENDENT = 1e-8  # of a largest eigenvalue
@@ -89,8 +89,7 @@ class Slot:
 
 
 def judge(
-    span: Span,
-    columns: Columns,
+    paths: Paths,
     folds: Folds,
     whole: Sequence[int],
     parts: Sequence[Sequence[int]],
@@ -100,9 +99,7 @@ def judge(
 
     Parameters
     ----------
-    span : Span
-    columns : Columns
-        Weighted as the span is.
+    paths : Paths
     folds : Folds
     whole : sequence of int
         Groups of the path on all rows.
@@ -117,8 +114,8 @@ def judge(
     """
     if not whole:
         return ()
-    every = list(dict.fromkeys([*whole, *(g for path in parts for g in path)]))
-    outside = {g: span.outside(columns.stacked(g)) for g in every}
+    span, columns = paths.span, paths.columns
+    outside = {g: paths.outside(g) for g in {*whole, *(g for path in parts for g in path)}}
     n = len(span.ends) - 1
     places = {kind: [-1 - k * n - j for j in range(n)] for k, kind in enumerate(friction)}
     for kind, columns_of in friction.items():
@@ -190,13 +187,11 @@ def _without_later_functions(
     return [g for g in path if g not in later or columns.candidate(g).joint != joint]
 
 
-def held_out_squares(
-    span: Span, columns: Columns, folds: Folds, parts: Sequence[Sequence[int]]
-) -> Array:
+def held_out_squares(paths: Paths, folds: Folds, parts: Sequence[Sequence[int]]) -> Array:
     """Return the sum of squared errors (K, n) of each held-out part and joint, of K paths."""
     found = []
     for k, path in enumerate(parts):
-        held = HeldOut(span, folds, k, {g: span.outside(columns.stacked(g)) for g in path})
+        held = HeldOut(paths.span, folds, k, {g: paths.outside(g) for g in path})
         found.append(held.squares(path))
     return np.array(found)
 

@@ -141,7 +141,7 @@ class MissingEffects:
             baseline_effects=tuple(first.model.effects),
             baseline=_errors(first, before),
             expected=None,
-            tried=sum(c.recording is None for c in last.columns.owners),
+            tried=sum(c.recording is None for c in last.paths.columns.owners),
             absorbed=absorbed,
             weak=weak,
             warnings=unique_warnings(
@@ -245,7 +245,7 @@ class MissingEffects:
     def _accepted(self, found: Round, accepted: Sequence[Accepted]) -> list[Accepted]:
         """Return the effects of a round that pass; the reasons against the others are kept."""
         new = list[Slot]()
-        candidates = {slot: found.columns.candidate(slot.group) for slot in found.slots}
+        candidates = {slot: found.candidate(slot.group) for slot in found.slots}
         sure = [c for slot, c in candidates.items() if slot.reason(self.options) is None]
         sure += [a.candidate for a in accepted]
         have = {a.placement.label for a in accepted}
@@ -273,7 +273,7 @@ class MissingEffects:
         before = len(self.apart)
         own = {p.label for p in self.first.model.placements}
         for slot in found.slots:
-            candidate = found.columns.candidate(slot.group)
+            candidate = found.candidate(slot.group)
             if candidate.recording is None or slot.reason(self.options) is not None:
                 continue
             names = [c.name for c in candidate.effect.coefficients]

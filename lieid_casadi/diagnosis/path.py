@@ -154,6 +154,13 @@ class Paths:
             self._raw_qz.append(of_part.qz)
             self.parts.append(self._outside(of_part, q.T @ q, q.T @ r))
         self._cross: dict[int, list[Array]] = {}
+        self._own: dict[int, Array] = {}
+
+    def outside(self, group: int) -> Array:
+        """Return a group's columns (R + k, c) on all rows, outside the span."""
+        if group not in self._own:
+            self._own[group] = self.span.outside(self.columns.stacked(group))
+        return self._own[group]
 
     def grams(self, a: Array, b: Array) -> Grams:
         """Return the products within groups of columns of a (p, m) with those of b."""

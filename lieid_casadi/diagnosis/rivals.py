@@ -40,27 +40,27 @@ def rivals_of(
     deviations : float
         Standard errors by which the effect must be better.
     """
-    columns, span, paths = found.columns, found.span, found.paths
+    paths, columns = found.paths, found.paths.columns
     state = paths.state(-1)
     for group in others:
         state = state.with_group(group)
     gains, values = state.gains()
     candidate = columns.candidate(slot.group)
-    torque = span.outside(columns.stacked(slot.group)) @ slot.values
+    torque = paths.outside(slot.group) @ slot.values
     examined = _examined(found, gains, values, slot, torque)
-    beside = [span.outside(columns.stacked(g)) for g in others]
+    beside = [paths.outside(g) for g in others]
     block = _blocks(found)
-    mine = _squares(found, [*beside, span.outside(columns.stacked(slot.group))], block)
-    cost = np.log(len(span.residual)) / len(mine)
+    mine = _squares(found, [*beside, paths.outside(slot.group)], block)
+    cost = np.log(len(paths.span.residual)) / len(mine)
     rivals = []
     for group in examined:
         rival = columns.candidate(group)
-        theirs = _squares(found, [*beside, span.outside(columns.stacked(group))], block)
+        theirs = _squares(found, [*beside, paths.outside(group)], block)
         worse = theirs - mine + cost * (rival.parameters - candidate.parameters)
         error = float(np.std(worse, ddof=1)) / np.sqrt(len(worse))
         if float(np.mean(worse)) > deviations * max(error, 1e-12):
             continue
-        part = part_of(torque, span.outside(columns.stacked(group)))
+        part = part_of(torque, paths.outside(group))
         kind = "exact" if part > 1.0 - EXACT**2 else "data"
         stated = Rival(rival.label, rival.name, rival.joints, kind)
         rivals.append((float(np.mean(worse)), int(group), stated))
@@ -77,16 +77,14 @@ def represented(found: Round, slots: Sequence[Slot], deviations: float) -> list[
     for slot in slots:
         others = [g for g in groups if g != slot.group]
         rivals = [g for g, _ in rivals_of(found, slot, others, deviations)]
-        cost = found.columns.parameters
+        cost = found.paths.columns.parameters
         best = min([slot.group, *rivals], key=lambda g: cost[g])
         kept = [*others, *(each.group for each in simplest)]
-        taken = found.columns.candidate(best).label in {
-            found.columns.candidate(g).label for g in kept
-        }
+        taken = found.candidate(best).label in {found.candidate(g).label for g in kept}
         if taken or best == slot.group:
             simplest.append(slot)
             continue
-        own, new = (found.span.outside(found.columns.stacked(g)) for g in (slot.group, best))
+        own, new = (found.paths.outside(g) for g in (slot.group, best))
         values = solved(new.T @ new, new.T @ (own @ slot.values))
         simplest.append(replace(slot, group=best, values=values))
     return simplest
@@ -97,7 +95,7 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
 
     Those that stand in its place in a path without a held-out part come first.
     """
-    columns, rows = found.columns, found.rows
+    columns, rows = found.paths.columns, found.rows
     mine = columns.candidate(slot.group)
     near = _near(found, mine, gains > LEAST_GAIN * gains[slot.group])
     examined: dict[int, int] = {}
@@ -108,7 +106,7 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
             continue
         if other.recording is not None:
             continue  # it is no effect of the arm, but a difference between the recordings
-        if part_of(torque, found.span.outside(columns.stacked(group))) < ALIKE:
+        if part_of(torque, found.paths.outside(group)) < ALIKE:
             continue
         estimate = values[columns.of_group(group)]
         if reason_against(other, columns.shapes(group), estimate, rows.segments) is None:
@@ -118,7 +116,7 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
 
 def _near(found: Round, mine: Candidate, fine: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Return the groups that act on a joint of an effect."""
-    columns = found.columns
+    columns = found.paths.columns
     acts = [mine.reaches_all or c.reaches_all or c.joint == mine.joint for c in columns.owners]
     return np.flatnonzero(fine & np.array(acts, dtype=bool)[columns.owner])
 
@@ -142,7 +140,7 @@ def _blocks(found: Round) -> NDArray[np.intp]:
 
 def _squares(found: Round, columns: Sequence[Array], block: NDArray[np.intp]) -> Array:
     """Return the sum of squared errors of each block of the model with further columns."""
-    residual = found.span.residual
+    residual = found.paths.span.residual
     error = residual - _projection(np.hstack(list(columns)), residual)
     return np.asarray(np.bincount(block, weights=error[: len(block)] ** 2), dtype=float)
 

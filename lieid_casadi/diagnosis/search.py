@@ -49,19 +49,19 @@ class Round:
         With the grids that were refined.
     spread : (n,)
         Standard deviation of the residual beside the path, N·m, by which rows are weighted.
-    columns : Columns
-        Weighted.
     slots : tuple of Slot
         The effects of the path on all rows, in its order.
     """
 
     rows: Rows
     spread: Array
-    columns: Columns
-    span: Span
     folds: Folds
     paths: Paths
     slots: tuple[Slot, ...]
+
+    def candidate(self, group: int) -> Candidate:
+        """Return the candidate of a group."""
+        return self.paths.columns.candidate(group)
 
     def held_out_errors(self, slot: Slot) -> tuple[float, float]:
         """Return the held-out RMS error of an effect's joint without it and with it, N·m."""
@@ -123,7 +123,7 @@ def search(
         noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
     dependence = _dependence(paths.columns, noise)
     folds, slots = _judged(paths, rows, scale, dependence, options)
-    return Round(rows, scale, paths.columns, paths.span, folds, paths, slots)
+    return Round(rows, scale, folds, paths, slots)
 
 
 def _judged(
@@ -153,7 +153,7 @@ def _judged(
         return [kept[list(path)].tolist() for path in found]
 
     def judged(path: Sequence[int], parts: Sequence[Sequence[int]]) -> tuple[Slot, ...]:
-        return judge(paths.span, paths.columns, folds, path, parts, friction)
+        return judge(paths, folds, path, parts, friction)
 
     parts = outside(())
     slots = judged(whole, parts)
@@ -161,9 +161,7 @@ def _judged(
     if set(other) == set(whole) or not first:
         return folds, slots
     others = outside(first)
-    before, after = (
-        held_out_squares(paths.span, paths.columns, folds, each) for each in (parts, others)
-    )
+    before, after = (held_out_squares(paths, folds, each) for each in (parts, others))
     so = judged(other, others)
     better = (_supported(so, options) - _supported(slots, options)) & first
     better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
@@ -301,7 +299,7 @@ def residual_beside(paths: Paths, groups: Sequence[int]) -> Array:
     span = paths.span
     if not groups:
         return span.residual
-    outside = np.hstack([span.outside(paths.columns.stacked(g)) for g in groups])
+    outside = np.hstack([paths.outside(g) for g in groups])
     values = solved(outside.T @ outside, outside.T @ span.residual)
     return np.asarray(span.residual - outside @ values)
 

@@ -64,7 +64,7 @@ class Accepted:
         options: DiagnosisOptions,
     ) -> Accepted:
         """Return an effect of a round beside earlier ones and groups that are accepted with it."""
-        candidate = found.columns.candidate(slot.group)
+        candidate = found.candidate(slot.group)
         others = [g for g in groups if g != slot.group]
         near = rivals_of(found, slot, others, options.rival_deviations)
         rivals = tuple(rival for _, rival in near)
@@ -79,11 +79,14 @@ class Accepted:
         status: Status = "named" if not rivals and slot.selected == 1.0 else "one_of"
         if candidate.name == SMOOTH:
             status = "shape"
-        beside = [*(found.columns.candidate(g) for g in others), *(a.candidate for a in earlier)]
+        beside = [
+            *(found.candidate(g) for g in others),
+            *(a.candidate for a in earlier),
+        ]
         smooth = any(c.name == SMOOTH and c.joint == slot.joint for c in beside)
         return cls(
             candidate,
-            found.columns.shapes(slot.group),
+            found.paths.columns.shapes(slot.group),
             slot.joint,
             evidence,
             rivals,
@@ -261,7 +264,7 @@ def unexplained_parts(
 
 def absorbed_and_weak(found: Round) -> tuple[tuple[str, ...], tuple[tuple[str, float], ...]]:
     """Return the candidates that the model spans, and those that it nearly spans."""
-    columns, whole = found.columns, found.paths.whole
+    columns, whole = found.paths.columns, found.paths.whole
     remaining = np.zeros(len(columns.owners))
     for (groups, own), gram in zip(columns.by_size, whole.inner.parts, strict=True):
         norms = found.paths.norms[own]
@@ -283,7 +286,7 @@ def late_friction(found: Round, worth: float) -> list[LateFrictionWarning]:
 
     It is stated where it lowers the error of a joint by ``worth``, relative to it.
     """
-    span, rows, late = found.span, found.rows, []
+    span, rows, late = found.paths.span, found.rows, []
     rest = span.residual
     pairs = zip(rows.late_friction, rows.weights(found.spread), strict=True)
     for j, (own, weight) in enumerate(pairs):

@@ -92,7 +92,7 @@ def test_effects_that_are_there_are_selected_in_every_path_and_noise_is_not_supp
     loose = rules(columns, penalty=1.0)  # so loose that paths contain noise
     whole = forward(paths, -1, loose)
     parts_of = [forward(paths, k, loose) for k in range(10)]
-    slots = judge(span, columns, folds, whole, parts_of, {})
+    slots = judge(paths, folds, whole, parts_of, {})
     found = {slot.group: slot for slot in slots}
     assert {2, 5} <= set(found)
     for group, slot in found.items():
@@ -114,8 +114,9 @@ def test_an_effect_is_judged_without_a_smooth_function_that_came_after_it_and_co
     span = Span.of([random.normal(size=(ROWS, MODEL))], [residual])
     held = np.array([np.arange(ROWS) * 10 // ROWS == k for k in range(10)])
     folds = Folds(held, held, 0.0, np.array([100]))
+    paths = Paths(span, columns, folds.out)
     for order, least in (([0, 1], 3.0), ([1, 0], -np.inf)):
-        slots = judge(span, columns, folds, order, [order] * 10, {})
+        slots = judge(paths, folds, order, [order] * 10, {})
         (found,) = (slot for slot in slots if slot.group == 0)
         assert found.deviations > least
     assert found.deviations < 2.0  # the function was there before it
