@@ -56,6 +56,22 @@ def cell_text(cell: object) -> str:
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
+def figures(value: float | None, *, digits: int = 3, sign: str = "") -> str:
+    """Return a number with some significant digits, a dash if it is unknown.
+
+    Examples
+    --------
+    >>> figures(0.19843), figures(12.3456, digits=2), figures(0.5, sign="+"), figures(None)
+    ('0.198', '12', '+0.500', '–')
+    """
+    if value is None or value != value:
+        return MISSING
+    if value == 0.0 or 1e-3 <= abs(value) < 1e4:
+        exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])
+        return f"{value:{sign}.{max(0, digits - 1 - exponent)}f}"
+    return f"{value:{sign}.{digits - 1}e}"
+
+
 def html(*parts: str | Table) -> str:
     """Return paragraphs and tables as HTML, as notebooks show them; all text is escaped.
 

@@ -14,7 +14,6 @@ from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.comparison.noise_floor import noise_floor
 from lieid_casadi.comparison.series import largest_errors, series_along
 from lieid_casadi.errors import (
-    FrictionAtRestWarning,
     LieidWarning,
     SameRecordingWarning,
     unique_warnings,
@@ -26,7 +25,6 @@ from lieid_casadi.identification.recording_checks import (
     check_recordings,
     check_torque_constants,
 )
-from lieid_casadi.identification.regression.design_matrix import has_dry_friction
 from lieid_casadi.recording import Processed, Recording, check, process
 from lieid_casadi.recording.recording import listed
 
@@ -112,7 +110,7 @@ def compare_segments(
         warnings=(),
     )
     found = [*warnings, *(w for segment in segments for w in segment.warnings)]
-    found += [*_trained_on(fit, comparison), *_rest(fit, comparison)]
+    found += _trained_on(fit, comparison)
     return replace(comparison, warnings=unique_warnings(found))
 
 
@@ -168,25 +166,3 @@ def _overlap(a: Source, b: Source) -> bool:
         start, end = found.groups() if (found := _PART.search(source.name)) else ("", "")
         ends.append((float(start or -np.inf), float(end or np.inf)))
     return max(start for start, _ in ends) < min(end for _, end in ends)
-
-
-def _rest(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
-    """Return a warning that names joints whose RMS is dominated by rest with dry friction."""
-    resting = np.flatnonzero(has_dry_friction(fit.model) & comparison.rest_dominates)
-    if not resting.size:
-        return []
-    details = []
-    for j in resting.tolist():
-        at_rest, moving = comparison.rms_at_rest[j], comparison.rms_moving[j]
-        motion = f"{moving:.3g} {comparison.units[j]} in motion"
-        part = f"{100 * comparison.at_rest[j]:.2g} % of the time at rest"
-        moves = f"{motion}; {part}" if np.isfinite(moving) else "never in motion"
-        details.append(f"joint {j + 1} (RMS {at_rest:.3g} {comparison.units[j]} at rest, {moves})")
-    moved = bool(np.isfinite(comparison.rms_moving[resting]).any())
-    remedy = "use the RMS in motion for these joints" if moved else "compare a recording in motion"
-    return [
-        FrictionAtRestWarning(
-            "friction is undetermined at rest and dominates the error of "
-            f"{', '.join(details)}: {remedy}"
-        )
-    ]

@@ -14,7 +14,6 @@ from lieid_casadi.comparison import plots
 from lieid_casadi.comparison.noise_floor import SOURCES
 from lieid_casadi.comparison.series import LargeError, Series
 from lieid_casadi.errors import (
-    FrictionAtRestWarning,
     LieidWarning,
     SameRecordingWarning,
     warning_list,
@@ -22,7 +21,7 @@ from lieid_casadi.errors import (
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.messages import joints_text
-from lieid_casadi.tables import Table, html, make_table
+from lieid_casadi.tables import Table, figures, html, make_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,15 +30,15 @@ if TYPE_CHECKING:
 AS_NOISE = 1.3  # times the noise floor, up to which an error is explained by noise
 BEYOND_NOISE = 2.0  # times the noise floor, from which an error is certainly systematic
 NUMBERS = (
-    "rms", "rms_raw", "rms_moving", "rms_at_rest", "at_rest", "error_at_rest", "torque_rms",
+    "rms", "rms_raw", "rms_moving", "rms_at_rest", "at_rest", "torque_rms",
     "relative_rms", "relative_rms_moving", "correlation", "bias", "noise_floor",
 )  # fmt: skip
 HEADINGS = (
     "joint", "in motion", "noise floor", "of torque", "at rest", "all", "raw", "correlation",
     "bias", "unit",
 )  # fmt: skip
+RESTS = 0.1  # of the time, from which on the error at rest is reported
 FALLS, RISES = 3.0, 2.0  # %, from which on a change of a joint's error is stated
-REST_MATTERS = 0.25  # of a joint's squared error: from this on, rest is reported
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,17 +116,10 @@ class Comparison:
             return np.where(torque > 0.0, self.rms_moving / torque, np.nan)
 
     @property
-    def error_at_rest(self) -> Array:
-        """Fraction of the squared error at samples at rest (n,)."""
-        at_rest = self.at_rest * np.nan_to_num(self.rms_at_rest) ** 2
-        squares = self.rms**2
-        return np.divide(at_rest, squares, out=np.zeros_like(squares), where=squares > 0.0)
-
-    @property
     def rest_dominates(self) -> NDArray[np.bool_]:
-        """Joints (n,) whose RMS is determined by rest more than by motion."""
+        """Joints (n,) that rest for a part of the time, with a larger error than in motion."""
         larger = np.nan_to_num(self.rms_at_rest) > np.nan_to_num(self.rms_moving)
-        return np.asarray(larger & (self.error_at_rest > REST_MATTERS))
+        return np.asarray(larger & (self.at_rest > RESTS))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid compare --json`` writes; one number per joint, None for NaN."""
@@ -194,14 +186,14 @@ def error_table(comparison: Comparison) -> Table:
     rows = [
         (
             joint_title(c, j),
-            digits(c.rms_moving[j]),
-            digits(c.noise_floor[j]),
+            figures(c.rms_moving[j]),
+            figures(c.noise_floor[j]),
             percent(relative[j]),
-            digits(c.rms_at_rest[j]),
-            digits(c.rms[j]),
-            digits(c.rms_raw[j]),
+            figures(c.rms_at_rest[j]),
+            figures(c.rms[j]),
+            figures(c.rms_raw[j]),
             "–" if math.isnan(c.correlation[j]) else f"{c.correlation[j]:.4f}",
-            digits(c.bias[j], sign="+"),
+            figures(c.bias[j], sign="+"),
             c.units[j],
         )
         for j in range(c.n)
@@ -228,8 +220,8 @@ def largest_errors_table(comparison: Comparison) -> Table:
             joint_title(comparison, moment.joint),
             moment.recording,
             f"{moment.time:z.2f}",
-            digits(moment.error, sign="+"),
-            digits(moment.measured, sign="+"),
+            figures(moment.error, sign="+"),
+            figures(moment.measured, sign="+"),
             f"{moment.q:z.3f}",
             f"{moment.dq:z.3f}" if moment.moving else "at rest",
             comparison.units[moment.joint],
@@ -245,11 +237,6 @@ def joint_title(comparison: Comparison, joint: int) -> str:
     return f"{joint + 1} {name}" if name and name != str(joint + 1) else f"{joint + 1}"
 
 
-def digits(value: float, *, sign: str = "") -> str:
-    """Return three significant digits, an en dash for NaN."""
-    return "–" if math.isnan(value) else f"{value:{sign}#.3g}".rstrip(".")
-
-
 def percent(value: float) -> str:
     """Return a fraction in percent, an en dash for NaN."""
     if math.isnan(value):
@@ -262,10 +249,10 @@ def _error_text(c: Comparison, joint: int) -> str:
     """Return the size of a joint's error, as a plot states it."""
     unit, moving = c.units[joint], c.rms_moving[joint]
     if np.isnan(moving):
-        return f"at rest: RMS {digits(c.rms[joint])} {unit}"
+        return f"at rest: RMS {figures(c.rms[joint])} {unit}"
     relative = f"{percent(c.relative_rms_moving[joint])} of the torque"
-    floor = f"noise floor {digits(c.noise_floor[joint])}"
-    return f"in motion: RMS {digits(moving)} {unit}, {relative}; {floor}"
+    floor = f"noise floor {figures(c.noise_floor[joint])}"
+    return f"in motion: RMS {figures(moving)} {unit}, {relative}; {floor}"
 
 
 def fall_sentence(
@@ -320,8 +307,8 @@ def verdict_sentences(comparison: Comparison, remedy: str) -> list[str]:
     sentences = [f"{names} ({c.duration:.3g} s{training}): {_size(c)}."]
     if np.any(np.isfinite(_over_noise(c))):
         sentences.append(_noise(c, remedy))
-    if any(isinstance(warning, FrictionAtRestWarning) for warning in c.warnings):
-        at_rest = ", ".join(digits(rms) for rms in c.rms_at_rest[c.rest_dominates])
+    if c.rest_dominates.any():
+        at_rest = ", ".join(figures(rms) for rms in c.rms_at_rest[c.rest_dominates])
         sentences.append(
             f"On {joints_text(c.rest_dominates)} the error at rest, where friction is "
             f"undetermined, is larger (RMS {at_rest})."
@@ -337,7 +324,7 @@ def _size(c: Comparison) -> str:
         return "the measured torque is zero"
     error = "the error in motion" if moves else "no joint moves; the error at rest"
     worst = c.worst_joint
-    where = f"joint {worst + 1} (RMS {digits(rms[worst])} {c.units[worst]})"
+    where = f"joint {worst + 1} (RMS {figures(rms[worst])} {c.units[worst]})"
     if relative.size == 1 or relative.max() - relative.min() < 5e-4:
         return f"{error} is {percent(relative.max())} of the torque"
     return (

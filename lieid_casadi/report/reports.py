@@ -16,7 +16,6 @@ from markupsafe import Markup
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.comparison.comparison import (
     BEYOND_NOISE,
-    digits,
     error_table,
     fall_sentence,
     largest_errors_table,
@@ -36,7 +35,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.payload.estimate import not_identified
 from lieid_casadi.report.page import Section, picture_section, render, table_section
-from lieid_casadi.tables import Table, make_table
+from lieid_casadi.tables import Table, figures, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis import Diagnosis
@@ -329,7 +328,7 @@ def _training(fit: Fit) -> Section:
     columns = (fit.rms_cv, fit.rms_train, fit.rms_train_raw)
     rows = []
     for j, joint in enumerate(fit.model.robot.joints):
-        errors = (digits(values[j]) for values in columns)
+        errors = (figures(values[j]) for values in columns)
         rows.append((f"{j + 1} {joint.name}", *errors, "N·m" if joint.revolute else "N"))
     headings = ("joint", "cross-validated, in motion", "all", "raw", "unit")
     note = "Cross-validated: on blocks left out, joints in motion. All, raw: errors of training."

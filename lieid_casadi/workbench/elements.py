@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from importlib import resources
 from typing import Any, TypeVar
 
 import msgspec
@@ -14,7 +15,6 @@ from lieid_casadi.comparison.comparison import AS_NOISE, BEYOND_NOISE
 from lieid_casadi.workbench.workbench import Workbench
 
 E = TypeVar("E", bound=Element)
-UNKNOWN = "–"
 UNKNOWN_COLOUR = "#b8bec4"
 BAND, COMPARED, FIRST = "#9fb6c6", "#009e73", "#9aa5b1"
 PLAIN = {"animation": False, "textStyle": {"fontFamily": "inherit"}}  # options of all charts
@@ -25,67 +25,14 @@ SCALE = (
     (5.0, "#e69f00"),
     (float("inf"), "#b03a00"),
 )
-_EMIT_ACTION = """(event) => {
-  const part = event.target.closest('[data-action], a, summary');
-  if (!part?.dataset.action) return;
-  if (event.type === 'keydown') event.preventDefault();  // space would scroll
-  emit(part.dataset.action);
-}"""
-# A list that is drawn again keeps the focus on the part with the same action.
-KEEP_FOCUS = """<script>
-let acted = null;
-addEventListener('focusin', (event) => {
-  const part = event.target.closest('[data-action]');
-  acted = part && { list: part.closest('.parts'), action: part.dataset.action };
-});
-addEventListener('pointerdown', (event) => {
-  if (!event.target.closest('[data-action]')) acted = null;
-});
-new MutationObserver(() => {
-  if (!acted || document.activeElement !== document.body) return;
-  const same = acted.list?.querySelector(`[data-action="${CSS.escape(acted.action)}"]`);
-  same?.focus({ preventScroll: true });
-}).observe(document, { childList: true, subtree: true });
-</script>"""
-# What the browser does with charts, once it has made them. One that cannot be seen is drawn when it
-# is scrolled into view. A click on a chart emits its horizontal coordinate; dragging selects.
-CHARTS = """<script>
-function draw(id, options, whole) {
-  const chart = getElement(id)?.chart;
-  if (!chart) { setTimeout(() => draw(id, options, whole), 20); return; }
-  const place = chart.getDom();
-  const later = place.later;
-  if (!later || whole) place.later = { options, whole };
-  else {
-    const known = new Map((later.options.series ?? []).map((s) => [s.id, s]));
-    for (const s of options.series ?? []) known.set(s.id, { ...known.get(s.id), ...s });
-    const series = known.size ? { series: [...known.values()] } : {};
-    place.later = { options: { ...later.options, ...options, ...series }, whole: later.whole };
-  }
-  place.seen ??= new IntersectionObserver((found) => {
-    if (!found.at(-1).isIntersecting) return;
-    const { options, whole } = place.later;
-    chart.setOption(options, whole);
-    if (whole && options.brush) startBrush(chart);
-    place.later = null;
-    place.seen.disconnect();
-  }, { rootMargin: '100px' });
-  place.seen.disconnect();
-  place.seen.observe(place);
-}
-function emitClicks(id, event) {
-  const chart = getElement(id)?.chart;
-  if (!chart) { setTimeout(() => emitClicks(id, event), 20); return; }
-  chart.getZr().on('click', (click) => {
-    const [x] = chart.convertFromPixel({ gridIndex: 0 }, [click.offsetX, click.offsetY]);
-    getElement(id).$emit(event, x);
-  });
-}
-function startBrush(chart) {
-  const brushOption = { brushType: 'lineX', brushMode: 'single' };
-  chart.dispatchAction({ type: 'takeGlobalCursor', key: 'brush', brushOption });
-}
-</script>"""
+
+
+def open_page() -> None:
+    """Load the style and the functions of the page, ``page.css`` and ``page.js``."""
+    files = resources.files("lieid_casadi.workbench")
+    ui.add_css(files.joinpath("page.css").read_text("utf-8"))
+    ui.add_body_html(f"<script>{files.joinpath('page.js').read_text('utf-8')}</script>")
+    ui.colors(primary="#0b4f8a")
 
 
 class View:
@@ -116,7 +63,9 @@ class Parts:
     def __init__(self, css: str, act: Callable[[str], Awaitable[None]]) -> None:
         self.element = ui.html("", sanitize=False).classes(f"parts {css}")
         for kind in ("click", "keydown.enter", "keydown.space"):
-            self.element.on(kind, lambda event: act(event.args), js_handler=_EMIT_ACTION)
+            self.element.on(
+                kind, lambda event: act(event.args), js_handler="(event) => emitAction(event, emit)"
+            )
 
     def show(self, *parts: Markup) -> None:
         """Show other parts."""
@@ -186,22 +135,6 @@ def set_text(label: ui.label, content: str) -> None:
         label.props["title"] = content
 
 
-def figures(value: float | None, *, digits: int = 3) -> str:
-    """Return a number with some significant digits, a dash if it is unknown.
-
-    Examples
-    --------
-    >>> figures(0.19843), figures(12.3456), figures(12.3456, digits=2), figures(None)
-    ('0.198', '12.3', '12', '–')
-    """
-    if value is None or value != value:
-        return UNKNOWN
-    if value == 0.0 or 1e-3 <= abs(value) < 1e4:
-        exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])
-        return f"{value:.{max(0, digits - 1 - exponent)}f}"
-    return f"{value:.{digits - 1}e}"
-
-
 def place(label: str) -> str:
     """Return ``NAME-J`` of a placed effect: its name and target joint, or ``arm``.
 
@@ -256,7 +189,7 @@ class Chart:
         self.call("draw", f"{content}, {str(whole).lower()}")
 
     def call(self, function: str, *arguments: str) -> None:
-        """Call one of the functions of `CHARTS`."""
+        """Call a function of ``page.js`` for this chart."""
         script = f"{function}({', '.join([str(self.element.id), *arguments])})"
         self.element.client.run_javascript(script)
 

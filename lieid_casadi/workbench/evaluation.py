@@ -18,7 +18,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, process
-from lieid_casadi.report.reports import diagnosis_summary
+from lieid_casadi.report.reports import diagnosis_summary, value_text
 from lieid_casadi.tables import Table, make_table
 from lieid_casadi.workbench.arm import ArmMesh, arm_meshes
 from lieid_casadi.workbench.session import FoundEffects, ProposedEffect, Session, StepErrors
@@ -174,7 +174,7 @@ def effect_rows(fit: Fit) -> tuple[EffectRow, ...]:
     for row in fit.parameter_table():
         name, _, parameter = row["name"].rpartition(".")
         values.setdefault((name, row["joint"] - 1), []).append(
-            value_text(parameter, row["value"], row["std"], row["unit"])
+            parameter_text(parameter, row["value"], row["std"], row["unit"])
         )
     rows = []
     for p in fit.model.placements:
@@ -185,16 +185,16 @@ def effect_rows(fit: Fit) -> tuple[EffectRow, ...]:
     return tuple(rows)
 
 
-def value_text(name: str, value: float, std: float | None, unit: str) -> str:
+def parameter_text(name: str, value: float, std: float | None, unit: str) -> str:
     """Return a parameter as the page shows it.
 
     Examples
     --------
-    >>> value_text("f_c", 17.552, 0.853, "N·m"), value_text("g", 0.02, None, "1")
+    >>> parameter_text("f_c", 17.552, 0.853, "N·m"), parameter_text("g", 0.02, None, "1")
     ('f_c = 17.55 ± 0.85 N·m', 'g = 0.02')
     """
     deviation = "" if std is None else f" ± {std:.2g}"
-    return f"{name} = {value:.4g}{deviation}{'' if unit in ('', '1') else ' ' + unit}"
+    return f"{name} = {value_text(value, std)}{deviation}{'' if unit in ('', '1') else ' ' + unit}"
 
 
 @dataclass(frozen=True)
@@ -269,7 +269,7 @@ def _proposed(step: Step, errors: Array) -> ProposedEffect:
         after=number_or_none(after),
         rivals=tuple((rival.label, rival.kind) for rival in step.rivals),
         value=", ".join(
-            value_text(name, value, step.std.get(name), step.units.get(name, ""))
+            parameter_text(name, value, step.std.get(name), step.units.get(name, ""))
             for name, value in step.parameters.items()
         ),
         status=step.status,

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import resources
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -26,7 +25,15 @@ from lieid_casadi.report import data_uri
 from lieid_casadi.tables import html
 from lieid_casadi.workbench.arm import ArmMesh, ArmMotion
 from lieid_casadi.workbench.arm_view import BASE, ArmScene
-from lieid_casadi.workbench.elements import button, named, ratio, ratio_colour, set_text, text
+from lieid_casadi.workbench.elements import (
+    button,
+    named,
+    open_page,
+    ratio,
+    ratio_colour,
+    set_text,
+    text,
+)
 from lieid_casadi.workbench.server import mesh_file, serve_pages
 
 REFRESH = 0.3  # s between looks at what is new
@@ -89,10 +96,7 @@ class ExperimentView:
     def __init__(self, state: ExperimentState, answer: Callable[[str], None]) -> None:
         self._state, self._answer = state, answer
         self._drawn: float | None = None
-        ui.add_css(
-            resources.files("lieid_casadi.workbench").joinpath("page.css").read_text("utf-8")
-        )
-        ui.colors(primary="#0b4f8a")
+        open_page()
         with ui.row().classes("toolbar w-full items-center no-wrap"):
             ui.label("lieid experiment").classes("brand")
             text(f"{state.robot}, {state.folder}", "muted grow ellipsis")

@@ -11,18 +11,16 @@ from nicegui import ui
 
 from lieid_casadi.comparison.plot_style import ERROR, MEASURED, PREDICTED, envelope
 from lieid_casadi.comparison.series import Series
-from lieid_casadi.tables import html
+from lieid_casadi.tables import MISSING, figures, html
 from lieid_casadi.workbench.elements import (
     BAND,
     COMPARED,
     FIRST,
     PLAIN,
-    UNKNOWN,
     Chart,
     Parts,
     View,
     cut_part,
-    figures,
     icon_part,
     named,
     part,
@@ -79,7 +77,7 @@ class JointsView(View):
         preliminary = "preliminary" if evaluation is None or not evaluation.complete else ""
         inexact = "inexact" if evaluation is not None and not evaluation.exact else ""
         selected = "selected" if workbench.session.joint == j else ""
-        error, number = UNKNOWN, j + 1
+        error, number = MISSING, j + 1
         noise = multiple = fit = other = ""
         colour = ratio_colour(None)
         if errors is not None:
@@ -99,7 +97,7 @@ class JointsView(View):
             cut_part("number strong", error, id=f"error-{number}"),
             part(
                 "joint-facts muted small",
-                cut_part("number noise", noise or UNKNOWN, id=f"noise-{number}"),
+                cut_part("number noise", noise or MISSING, id=f"noise-{number}"),
                 cut_part("number noise", multiple),
                 cut_part("number", fit, id=f"fit-percent-{number}"),
             ),

@@ -54,14 +54,6 @@ DEGREES = {"deg", "degree", "degrees"}  # in names of columns
 IN_SIGHT = 4  # of these options; the others are folded
 MOST_VALUES = 8  # of a signal in the preview
 HEADER_LINES, HEADER_LENGTH = 1000, 1 << 16
-_DROP = """<script>
-addEventListener('dragover', (event) => event.preventDefault());
-addEventListener('drop', (event) => {
-  if (event.defaultPrevented) return;  // on the field for files
-  event.preventDefault();  // of showing the file in place of the page
-  getElement(ID).$refs.qRef.addFiles(event.dataTransfer.files);
-});
-</script>"""
 
 
 class OpenPanel(View):
@@ -127,7 +119,7 @@ class OpenPanel(View):
             multiple=True, auto_upload=True, max_file_size=LARGEST_UPLOAD,
             label="or drop files of the robot and of recordings here", on_upload=self._uploaded,
         )  # fmt: skip
-        ui.add_body_html(_DROP.replace("ID", str(upload.id)))
+        ui.add_body_html(f"<script>acceptDrops({upload.id})</script>")
         named(upload.props("flat bordered dense"), "open-files").classes("w-full upload")
         self._list = ui.column().classes("gap-0 w-full")
 

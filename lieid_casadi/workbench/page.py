@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from importlib import resources
 
 from nicegui import ui
 
@@ -12,12 +11,11 @@ from lieid_casadi.workbench.arm_view import ArmView
 from lieid_casadi.workbench.commands import shell_lines
 from lieid_casadi.workbench.effects import EffectsView, FindingsView
 from lieid_casadi.workbench.elements import (
-    CHARTS,
-    KEEP_FOCUS,
     View,
     button,
     icon_button,
     named,
+    open_page,
     set_text,
     text,
 )
@@ -48,10 +46,7 @@ EXPORTS = {
 
 def build_page(workbench: Workbench, token: str) -> Callable[[], None]:
     """Build the page of a workbench; return the function that updates it."""
-    style = resources.files("lieid_casadi.workbench").joinpath("page.css").read_text("utf-8")
-    ui.add_css(style)
-    ui.add_body_html(CHARTS + KEEP_FOCUS)
-    ui.colors(primary="#0b4f8a")
+    open_page()
     address = f"/?token={token}&session={workbench.name}"
     ui.add_head_html(f"<script>history.replaceState(null, '', {address!r})</script>")
     toolbar = Toolbar(workbench, lambda: panel.toggle())

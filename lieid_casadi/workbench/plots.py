@@ -30,13 +30,13 @@ from lieid_casadi.comparison.series import (
     residual_spectrum,
     strongest_at,
 )
+from lieid_casadi.tables import figures
 from lieid_casadi.workbench.elements import (
     COMPARED,
     PLAIN,
     Chart,
     View,
     button,
-    figures,
     named,
     noise_band,
     set_text,

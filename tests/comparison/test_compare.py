@@ -9,14 +9,13 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 import lieid_casadi as lieid
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
-from lieid_casadi.comparison.comparison import NUMBERS
+from lieid_casadi.comparison.comparison import NUMBERS, verdict
 from lieid_casadi.comparison.series import (
     residual_correlations,
     residual_spectrum,
     strongest_at,
 )
 from lieid_casadi.errors import (
-    FrictionAtRestWarning,
     ModelError,
     RecordingError,
     SameRecordingWarning,
@@ -172,9 +171,7 @@ def test_error_at_rest_is_reported_for_the_joint_that_rests(fit):
     stuck = np.where((t >= 7.0)[:, None], [0.0, 1.4], 0.0)  # static friction holds joint 2
     test = arm.recording(14.0, seed=2, noise=0.1, still_after=7.0, extra=stuck)
     comparison = lieid.compare(fit, test)
-    (warning,) = (w for w in comparison.warnings if isinstance(w, FrictionAtRestWarning))
-    assert "joint 2 (RMS 1.4" in str(warning)
-    assert "joint 1" not in str(warning)
+    assert "On joint 2 the error at rest" in verdict(comparison)
     assert comparison.rms_moving[1] < 0.3
 
 

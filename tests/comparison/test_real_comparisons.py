@@ -5,8 +5,8 @@ import pytest
 from real_arms import UR10E, needs
 
 import lieid_casadi as lieid
+from lieid_casadi.comparison.comparison import verdict
 from lieid_casadi.comparison.plots import binned_mean
-from lieid_casadi.errors import FrictionAtRestWarning
 
 pytestmark = [pytest.mark.real, needs(UR10E / "ur10e.urdf")]
 
@@ -45,9 +45,7 @@ def test_dwells_of_the_wrist_are_reported(plain):
     reference = np.array([2.58, 3.21, 1.38, 0.23, 1.09, 1.42])
     assert np.all(comparison.rms < 1.07 * reference)
     assert np.flatnonzero(comparison.rest_dominates).tolist() == [4, 5]
-    (warning,) = (w for w in comparison.warnings if isinstance(w, FrictionAtRestWarning))
-    assert "joint 5 (RMS" in str(warning)
-    assert "joint 6 (RMS" in str(warning)
+    assert "On joints 5, 6 the error at rest" in verdict(comparison)
     assert np.all(comparison.rms_moving[4:] < 0.4)
     assert np.all(comparison.rms_at_rest[4:] > 1.5)
 

@@ -1,7 +1,7 @@
 """The page in a browser: see where the model fails, find what is missing, add it."""
 
 import lieid_casadi as lieid
-from lieid_casadi.workbench.elements import figures
+from lieid_casadi.tables import figures
 
 # What the pointer can act on, as the elements that must have the focus for it; canvases apart: what
 # they do has fields and buttons beside them.

@@ -11,7 +11,7 @@ from workbench.server_process import PATIENCE
 
 import lieid_casadi as lieid
 from lieid_casadi.report import diagnosis_report
-from lieid_casadi.workbench.elements import figures
+from lieid_casadi.tables import figures
 
 pytestmark = pytest.mark.slow
 
