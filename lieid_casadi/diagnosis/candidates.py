@@ -51,14 +51,9 @@ class Candidate:
     recording: int | None = None
 
     def refined(self, points: Sequence[int], positions: Sequence[float]) -> Candidate:
-        """Return the candidate with further grid points around some of its points.
+        """Return the candidate with further grid points around the points of some indices.
 
-        Parameters
-        ----------
-        points : sequence of int
-            Indices of grid points.
-        positions : sequence of float
-            Of the new points, relative to the distance to the neighbouring point, 0 to 1.
+        ``positions`` are relative to the distance to the neighbouring point, 0 to 1.
         """
         if not self.effect.shapes:
             return self
@@ -133,15 +128,8 @@ def list_candidates(
 ) -> tuple[Candidate, ...]:
     """Return the candidates for which the recordings have motion and signals.
 
-    Parameters
-    ----------
-    model : Model
-    segments : sequence of Processed
-    scan : callable
-        Of an effect and a joint (from 0): the grid (G, 1) of a shape parameter that is scanned.
-    model_fixed : bool
-        Whether the model is not fitted again, so that effects of the model are candidates too,
-        as changes.
+    ``scan`` gives the grid (G, 1) of a shape parameter that is scanned, of an effect and a joint.
+    If the model is fixed, effects of the model are candidates too, as changes.
     """
     commanded = follows_commands(model.robot, segments)
     have = set() if model_fixed else {p.label for p in model.placements}
@@ -168,19 +156,9 @@ def list_candidates(
 
 
 def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Array:
-    """Return shape parameters to try on a joint, within what its motion resolves.
+    """Return shape parameters (G, s) to try on a joint, within what its motion resolves.
 
-    Parameters
-    ----------
-    effect : Effect
-    segments : sequence of Processed
-    joint : int
-        From 0.
-
-    Returns
-    -------
-    (G, s) array
-        For effects computed along a whole segment without shape parameters, coefficients (G, c).
+    For effects computed along a whole segment without shape parameters, coefficients (G, c).
     """
     if isinstance(effect, ArmEffect) and not effect.shapes:
         return np.array([(0.0,) * len(effect.coefficients), *effect.trial_values])
@@ -198,20 +176,7 @@ def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Arr
 
 
 def shape_limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tuple[float, float]:
-    """Return the bounds of a shape parameter that a joint's motion resolves.
-
-    Parameters
-    ----------
-    shape : Shape
-    segments : sequence of Processed
-    joint : int
-        From 0.
-
-    Returns
-    -------
-    lower, upper : float
-        In the unit of the shape parameter.
-    """
+    """Return the bounds of a shape parameter that a joint's motion resolves, in its unit."""
     if shape.resolved_by == "duration":
         longest = max(float(segment.t[-1] - segment.t[0]) for segment in segments)
         low, high = (part * longest for part in TIME_CONSTANTS)
@@ -230,13 +195,8 @@ def shape_limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tup
 def _has_signals(effect: Effect, segments: Sequence[Processed], *, commanded: bool) -> bool:
     """Return whether the recordings have what an effect acts on.
 
-    Parameters
-    ----------
-    effect : Effect
-    segments : sequence of Processed
-    commanded : bool
-        Whether their torque is that of a control law: effects of such drives act then, and none of
-        a torque signal.
+    If their torque is that of a control law (``commanded``), effects of such drives act, and none
+    of a torque signal.
     """
     if effect.commanded or effect.on_torque_signal:
         return commanded != effect.on_torque_signal

@@ -152,14 +152,9 @@ class Columns:
         return Columns(self.owners, self.owner[groups], self.point[groups], start, size, joints)
 
     def with_only(self, recordings: Sequence[Indices], wanted: Sequence[int]) -> Columns:
-        """Return the columns, and copies of some groups that act in one recording only.
+        """Return the columns, and copies of some groups for each recording, which act in it only.
 
-        Parameters
-        ----------
-        recordings : sequence of (R_j,) int
-            Of each joint: the recording of each row.
-        wanted : sequence of int
-            Groups that are copied, once for each recording.
+        ``recordings`` has the recording of each row, of each joint (R_j,).
         """
         count = 1 + max((int(r.max(initial=0)) for r in recordings), default=0)
         if count < 2 or not len(wanted):

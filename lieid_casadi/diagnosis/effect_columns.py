@@ -54,13 +54,8 @@ class SegmentSignals:
     def of(cls, fit: Fit, segment: Processed, *, model_fixed: bool = False) -> SegmentSignals:
         """Return the signals of a segment; the load is that of the fit.
 
-        Parameters
-        ----------
-        fit : Fit
-        segment : Processed
-        model_fixed : bool
-            Whether the model is not fitted again. Its friction at starts and stops then does not
-            adapt to the segment, and friction at rest counts as unknown.
+        If the model is not fitted again, its friction at starts and stops does not adapt to the
+        segment, and friction at rest counts as unknown.
         """
         arm = model_along(fit.compiled, segment, fit.shapes, fit.parameters)
         arm = replace(arm, unknown_at_rest=model_fixed)
@@ -131,15 +126,7 @@ class EffectFunction:
         return replace(signals_of(self._own), other=other, state=state, every=_Further(further))
 
     def at(self, values: Mapping[str, Array], grid: Array) -> Array:
-        """Return the columns (c, N, G) of an effect with one shape parameter.
-
-        Parameters
-        ----------
-        values : mapping
-            Signal → (N,).
-        grid : (G,)
-            Values of the shape parameter.
-        """
+        """Return the columns (c, N, G) of an effect with one shape parameter (G,)."""
         own = [values[name][:, None] for name in OWN]
         results = self._columns(*own, *own, grid)
         shape = (len(own[0]), len(grid))
@@ -150,14 +137,7 @@ class EffectFunction:
     ) -> Array:
         """Return the columns (K, places, G, c), not filtered.
 
-        Parameters
-        ----------
-        signals : SegmentSignals
-            Of K instants.
-        places : sequence of (joint, source)
-            From 0; the source is None except for couplings.
-        grid : (G, s)
-            Shape parameters.
+        ``places`` are joints and sources (None except for couplings); the grid is (G, s).
         """
         own = [signals.values[name][:, [j for j, _ in places], None] for name in OWN]
         other = own
@@ -173,21 +153,7 @@ class EffectFunction:
 def columns_along(
     function: EffectFunction, signals: SegmentSignals, placements: Sequence[Placement], grid: Array
 ) -> Array:
-    """Return filtered columns of one effect in several places.
-
-    Parameters
-    ----------
-    function : EffectFunction
-    signals : SegmentSignals
-    placements : sequence of Placement
-    grid : (G, s)
-        Shape parameters.
-
-    Returns
-    -------
-    (M, places, G, c) array
-        At the M filtered instants of the segment.
-    """
+    """Return filtered columns (M, places, G, c) of one effect with shape parameters (G, s)."""
     places = [(p.joint, p.source) for p in placements]
     raw = function.columns(signals, places, grid)
     return signals.segment.filter(raw.reshape(len(raw), -1)).reshape(-1, *raw.shape[1:])
@@ -197,15 +163,8 @@ def states_along(effect: Effect, own: Sequence[Array], grid: Array) -> list[Arra
     """Return each state along a segment (K, places, G).
 
     A step x ← a·x + b, of one state that does not depend on the others, is evaluated for all
-    samples at once; any other step sample by sample.
-
-    Parameters
-    ----------
-    effect : Effect
-    own : sequence of (K, places, 1)
-        Signals of the places, as `OWN`.
-    grid : (G, s)
-        Shape parameters.
+    samples at once; any other step sample by sample. ``own`` has the signals `OWN` of the
+    places (K, places, 1), ``grid`` the shape parameters (G, s).
     """
     before, now, states = (_symbols(names) for names in (OWN, OWN, [s.name for s in effect.states]))
     shapes = _symbols([shape.name for shape in effect.shapes])
@@ -267,14 +226,7 @@ def _step_by_step(
 ) -> list[Array]:
     """Return each state (K, places, G), from a function of the states and the inputs of a step.
 
-    Parameters
-    ----------
-    step : ArrayFunction
-    values : sequence of (K − 1, places, 1) or (G,)
-        Signals before and after each step, and shape parameters.
-    initial : sequence of (places, G)
-    samples : int
-        K.
+    ``values`` are signals before and after each step (K − 1, places, 1), and shape parameters (G,).
     """
     states = [np.empty((samples, *x.shape)) for x in initial]
     for state, x in zip(states, initial, strict=True):

@@ -38,16 +38,7 @@ def leave_out_events(
 ) -> tuple[list[Recording], tuple[Event, ...]]:
     """Return recordings without contact and faults, and these events and joints at rest.
 
-    Parameters
-    ----------
-    fit : Fit
-        Whose errors are examined.
-    recordings : sequence of Recording
-
-    Raises
-    ------
-    RecordingError, ModelError, EffectError
-        A recording that the fit cannot be compared with; nothing remains.
+    Raises what `compare` raises, and `RecordingError` if nothing remains.
     """
     check_recordings(fit.model, recordings)
     events = transient_events(fit, recordings)
@@ -58,20 +49,10 @@ def leave_out_events(
 
 
 def without_events(recordings: Sequence[Recording], events: Sequence[Event]) -> list[Recording]:
-    """Return the recordings without the stretches of contact and faults.
+    """Return the recordings without their stretches of contact and faults; standstill is kept.
 
-    The gap that remains divides a recording into segments, which are never joined.
-
-    Parameters
-    ----------
-    recordings : sequence of Recording
-    events : sequence of Event
-        Those of other recordings are ignored; standstill is kept.
-
-    Raises
-    ------
-    RecordingError
-        Nothing remains.
+    The gap that remains divides a recording into segments, which are never joined. Raises
+    `RecordingError` if nothing remains.
     """
     kept = [_without(recording, events) for recording in recordings]
     if not any(len(recording) for recording in kept):
@@ -101,13 +82,7 @@ def _without(recording: Recording, events: Sequence[Event]) -> Recording:
 
 
 def moves_enough(robot: Robot, segments: Sequence[Processed]) -> NDArray[np.bool_]:
-    """Return whether each joint (n,) covers enough positions in at least one segment.
-
-    Parameters
-    ----------
-    robot : Robot
-    segments : sequence of Processed
-    """
+    """Return whether each joint (n,) covers enough positions in at least one segment."""
     ranges = np.max([np.ptp(segment.q, axis=0) for segment in segments], axis=0)
     unit = np.array([1.0 if joint.revolute else PRISMATIC for joint in robot.joints])
     moving = np.any([segment.moving.any(axis=0) for segment in segments], axis=0)
@@ -115,13 +90,7 @@ def moves_enough(robot: Robot, segments: Sequence[Processed]) -> NDArray[np.bool
 
 
 def standstill_events(robot: Robot, segments: Sequence[Processed]) -> tuple[Event, ...]:
-    """Return one event that names the joints that do not move enough, if there are any.
-
-    Parameters
-    ----------
-    robot : Robot
-    segments : sequence of Processed
-    """
+    """Return one event that names the joints that do not move enough, if there are any."""
     still = ~moves_enough(robot, segments)
     if not still.any():
         return ()
@@ -158,14 +127,6 @@ def with_brief_effects(
     The link of a joint with backlash hits the side of its play whenever its load changes its sign.
     That is not a contact to be left out: it is what shows the play. If a fit of a drive under
     position control has transient errors, they are therefore judged with backlash on every joint.
-
-    Parameters
-    ----------
-    fit : Fit
-    recordings : sequence of Recording
-        To which it was fitted.
-    method : {"ols", "wls", "robust", "feasible"}
-        Of the fit.
     """
     drives = fit.model.robot.drives
     if drives is None or not all(is_torque_of_laws(r, drives) for r in recordings):
@@ -180,13 +141,7 @@ def with_brief_effects(
 
 
 def held_joints(fit: Fit, recordings: Sequence[Recording]) -> list[HeldJointWarning]:
-    """Return a warning for each joint that something outside the arm holds: an object, a stop.
-
-    Parameters
-    ----------
-    fit : Fit
-    recordings : sequence of Recording
-    """
+    """Return a warning for each joint that something outside the arm holds: an object, a stop."""
     robot = fit.model.robot
     if robot.drives is None or any(r.command is None or r.tau is None for r in recordings):
         return []

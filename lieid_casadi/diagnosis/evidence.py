@@ -97,20 +97,11 @@ def judge(
 ) -> tuple[Slot, ...]:
     """Return the effects of the path on all rows with their gains on the held-out parts.
 
-    Parameters
-    ----------
-    paths : Paths
-    folds : Folds
-    whole : sequence of int
-        Groups of the path on all rows.
-    parts : sequence of sequence of int
-        Groups of the path that does not use each part.
-    friction : mapping of (R, n)
-        Change of torque if the dry friction of each joint is ``late`` or ``early``, or by that at
-        ``rest``. A delay must explain more than the first: a joint that sticks for less than a
-        sample at its reversals looks the same there. A dead band must explain more than all:
-        friction of simulators is early (MuJoCo's ``solreffriction``), and a joint at rest needs no
-        torque of its drive either.
+    ``parts`` are the paths that do not use each part. ``friction`` (R, n) is the change of torque
+    if the dry friction of each joint is ``late`` or ``early``, or by that at ``rest``. A delay must
+    explain more than the first: a joint that sticks for less than a sample at its reversals looks
+    the same there. A dead band must explain more than all: friction of simulators is early
+    (MuJoCo's ``solreffriction``), and a joint at rest needs no torque of its drive either.
     """
     if not whole:
         return ()

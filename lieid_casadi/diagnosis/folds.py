@@ -61,15 +61,8 @@ def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:
     """Return the held-out parts of rows.
 
     A part is one stretch of the whole time in motion; of periodic motion it is a stretch of the
-    period, in all periods, so that no motion is on both sides.
-
-    Parameters
-    ----------
-    rows : Rows
-    residual : sequence of (R_j,)
-        Of each joint, from whose correlation the gap between parts follows, N·m.
-    count : int
-        K.
+    period, in all periods, so that no motion is on both sides. The gap between parts follows from
+    the correlation of the residual (R_j,) of each joint.
     """
     noise = [noise_of(r, run) for r, run in zip(residual, rows.runs, strict=True)]
     lasting = np.array([redundancy(each) for each in noise])

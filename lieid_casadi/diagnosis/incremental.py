@@ -44,15 +44,7 @@ class IncrementalEffect(Effect):
         return own
 
     def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
-        """Return the states of the effect after a step.
-
-        Parameters
-        ----------
-        before, now : Signals
-            At the beginning and at the end of the step; ``before`` contains the states.
-        shape : mapping
-            Shape parameters by name.
-        """
+        """Return the states after a step; ``before`` contains those at its beginning."""
         return self._effect.advance(before, now, shape)
 
 
@@ -65,17 +57,9 @@ class AddedPayload(Payload):
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns (K, n, 4): columns · values is the whole change of the torque.
 
-        The inertia is homogeneous of degree one in m and m·c, and therefore equal to its gradient
-        times the values. Load friction of a joint depends on the load of this joint alone, so
-        that its change is in proportion to the payload's torque there.
-
-        Parameters
-        ----------
-        arm : SegmentModel
-        joint : int
-            Not used.
-        values : (4,)
-            Mass and first moments, kg and kg·m.
+        The inertia is homogeneous of degree one in m and m·c, which are the values, and therefore
+        equal to its gradient times the values. Load friction of a joint depends on the load of this
+        joint alone, so that its change is in proportion to the payload's torque there.
         """
         whole = arm.tool_regressor()
         columns = whole[:, :, :4] + whole[:, :, 4:] @ _point_mass_gradient(values)

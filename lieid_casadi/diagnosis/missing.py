@@ -62,18 +62,7 @@ class Proposal:
 
 
 class MissingEffects:
-    """The search for the effects that a model lacks.
-
-    Parameters
-    ----------
-    first : Fit
-        Of the model before any effect is added.
-    train, tests : sequence of Recording
-    method : str
-    options : DiagnosisOptions
-    ask : callable or None
-    report : callable
-    """
+    """The search for the effects that a model lacks; ``first`` is its fit before any is added."""
 
     def __init__(
         self,

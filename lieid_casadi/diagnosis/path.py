@@ -120,15 +120,9 @@ class Products:
 
 
 class Paths:
-    """All that forward paths on different rows share.
+    """All that forward paths on different rows share; a path on all rows is number −1.
 
-    Parameters
-    ----------
-    span : Span
-    columns : Columns
-        Weighted as the span is.
-    left_out : (K, R) bool
-        Rows that each of K paths does not use; a path on all rows is number −1.
+    ``left_out`` (K, R) are the rows that each of K paths does not use.
     """
 
     def __init__(self, span: Span, columns: Columns, left_out: Mask) -> None:
@@ -379,18 +373,9 @@ def forward(
 ) -> tuple[int, ...]:
     """Return the groups of a greedy path with exchange, in the order of their selection.
 
-    While the path is short, each of its groups gives way to a better one: the
-    first one is often a compromise of several causes. Effects of the library come before smooth
-    functions, except on some joints.
-
-    Parameters
-    ----------
-    paths : Paths
-    part : int
-        That is left out; −1 for none.
-    rules : Rules
-    smooth_first : collection of int
-        Joints on which smooth functions compete with the effects of the library from the start.
+    While the path is short, each of its groups gives way to a better one: the first one is often a
+    compromise of several causes. Effects of the library come before smooth functions, except on the
+    joints ``smooth_first``, where they compete from the start.
     """
     joint = np.array([c.joint for c in paths.columns.owners])[paths.columns.owner]
     early = ~rules.smooth | np.isin(joint, list(smooth_first))

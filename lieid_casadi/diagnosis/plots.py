@@ -24,20 +24,10 @@ def draw_errors(
     recordings: str,
     ax: Axes | None = None,
 ) -> Figure:
-    """Draw the errors of successive models relative to the first one, joint by joint; not shown.
+    """Draw the errors (n,) of successive models relative to the first one, joint by joint.
 
-    Parameters
-    ----------
-    series : sequence of (n,)
-        Error of each joint, N·m, one array per model.
-    labels : sequence of str
-        One per model.
-    reference : (str, (n,)) or None
-        Name and values of the errors of a complete model, N·m: the noise floor.
-    recordings : str
-        On which the errors were measured: ``test``.
-    ax : Axes, optional
-        To draw into; a new figure without it.
+    ``reference`` has name and values (n,) of the errors of a complete model: the noise floor.
+    ``recordings`` are those on which the errors were measured: ``test``.
     """
     from matplotlib import colormaps
     from matplotlib.figure import Figure

@@ -27,18 +27,10 @@ def rivals_of(
 ) -> list[tuple[int, Rival]]:
     """Return the groups that the data do not separate from an effect, nearest first, as rivals.
 
-    The errors of the two models are compared over blocks of time (Vuong, Econometrica 1989), each
-    with the cost of its parameters. Candidates that stand in the effect's place in a path without
-    a held-out part are compared, too.
-
-    Parameters
-    ----------
-    found : Round
-    slot : Slot
-    others : sequence of int
-        Groups that are in the model beside it.
-    deviations : float
-        Standard errors by which the effect must be better.
+    The errors of the two models, both with the groups ``others``, are compared over blocks of time
+    (Vuong, Econometrica 1989), each with the cost of its parameters. Candidates that stand in the
+    effect's place in a path without a held-out part are compared, too. ``deviations`` are the
+    standard errors by which the effect must be better.
     """
     paths, columns = found.paths, found.paths.columns
     state = paths.state(-1)

@@ -77,20 +77,9 @@ class Rows:
     ) -> Rows:
         """Evaluate the columns of a fit's model and of all candidates.
 
-        Parameters
-        ----------
-        fit : Fit
-        segments : sequence of Processed
-        known : sequence of FilteredColumns, optional
-            See `Design`.
-        before : Rows, optional
-            Of another fit on the same segments: its rows are kept, and its columns where they do
-            not depend on the fit.
-        with_candidates : bool
-            False leaves the candidates out.
-        model_fixed : bool
-            Whether the model is not fitted again, so that candidates are changes of its effects,
-            too.
+        ``before`` are rows of another fit on the same segments: they are kept, and their columns
+        where these do not depend on the fit. If the model is fixed, it is not fitted again, and
+        candidates are changes of its effects, too.
         """
         design = Design(fit.compiled, segments, known=known)
         rows = design.rows(fit.shapes, fit.parameters)

@@ -82,18 +82,9 @@ def search(
 ) -> Round:
     """Return the effects of a path on all rows, judged on held-out parts.
 
-    Parameters
-    ----------
-    rows : Rows
-    options : DiagnosisOptions
-    refused : collection of str
-        Labels of candidates that are left out.
-    prior : (k, p), optional
-        Rows that state the uncertainty of a model that is kept.
-    noise : sequence of Noise, optional
-        Of each joint; by default that of the residual beside the path.
-    joints : (n,) bool, optional
-        Joints on which effects are searched for; by default all.
+    ``refused`` are labels of candidates that are left out, ``prior`` (k, p) rows that state the
+    uncertainty of a model that is kept, ``noise`` that of each joint (by default that of the
+    residual beside the path), ``joints`` (n,) those on which effects are searched for.
     """
     wanted = [c for c in rows.columns.owners if _is_wanted(c, refused, joints)]
     rows = rows.with_candidates(wanted)

@@ -133,15 +133,8 @@ def steps_of(
 ) -> tuple[Step, ...]:
     """Return the steps of a final model: every number is that of its fit.
 
-    Parameters
-    ----------
-    final : FinalModel
-    accepted : sequence of Accepted
-        In the order of the path.
-    torque : (n,)
-        RMS of the measured torque of each joint, N·m.
-    tested : Comparison or None
-        Of the final fit with the test.
+    ``accepted`` is in the order of the path, ``torque`` (n,) the RMS of the measured torque, N·m,
+    and ``tested`` compares the final fit with the test.
     """
     fit = final.fit
     columns = [final.columns_of([a.placement]) for a in accepted]
@@ -231,15 +224,9 @@ def unexplained_parts(
 ) -> tuple[Unexplained, ...]:
     """Return the joints whose error in motion is above the noise floor of the same recording.
 
-    Parameters
-    ----------
-    fitted, tested : Comparison
-        Of the final fit with the training recordings, and with the test if there is one.
-    rejected : mapping
-        Candidates that were selected and not added, and why.
-    follows : callable
-        The signals that the residual of a joint follows; see `followed_signals`.
-    options : DiagnosisOptions
+    ``fitted`` and ``tested`` compare the final fit with training recordings and test, ``rejected``
+    has candidates that were selected and not added, and why, and ``follows`` gives the signals that
+    the residual of a joint follows.
     """
     ratio = _over_floor(fitted.rms_moving, fitted.noise_floor)
     where = [""] * len(ratio)
