@@ -6,11 +6,7 @@ _PACKAGE = Path(__file__).resolve().parent
 
 
 def codegen_folder() -> Path:
-    """Folder with the C code that exported models are built with.
-
-    In a wheel it is inside the package; in a checkout (also an editable install) it is at the top
-    level, next to the package.
-    """
+    """Return the folder of the C code: inside a wheel's package, beside that of a checkout."""
     for folder in (_PACKAGE / "codegen", _PACKAGE.parent / "codegen"):
         if (folder / "README.md").is_file():
             return folder

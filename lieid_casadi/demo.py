@@ -50,11 +50,7 @@ class Demo:
 
 
 def run_demo(robot: Robot, *, seed: int = 0, progress: Progress | None = None) -> Demo:
-    """Design a motion, record a simulated arm along it, and diagnose the model.
-
-    The inertias of the plant differ from the nominal ones by up to 20 %. Identification and
-    diagnosis see only the recordings of the plant.
-    """
+    """Design a motion, record a simulated arm along it, and diagnose the model."""
     report = progress or (lambda stage, fraction: None)
     model = Model(robot, EFFECTS)
     report("design the excitation", 0.0)
@@ -128,11 +124,7 @@ RUNS = {"train": 0, "test": 1000}  # seeds of the motions
 
 
 def demo_recordings(progress: Progress | None = None) -> tuple[Path, Path]:
-    """Return files with recordings of the demo's simulated arm along fixed motions.
-
-    They are simulated on the first call, which takes a few seconds, and kept in the package's
-    cache, or in a temporary folder where there is none.
-    """
+    """Return files with recordings of the demo's arm, simulated on the first call and cached."""
     report = progress or (lambda stage, fraction: None)
     folder = cache_folder()
     files = {name: folder / f"demo-{VERSION}" / f"demo_{name}.npz" for name in RUNS}

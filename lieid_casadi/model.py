@@ -229,10 +229,7 @@ class Model:
     def effect_columns(
         self, signals: EffectSignals, shapes: ca.SX, states: ca.SX | None = None
     ) -> ca.SX:
-        """Return the effects' columns (n, m), sparse, given ``signals`` and ``shapes`` (s,).
-
-        ``states`` (S,): of effects with memory; without them these raise `ModelError`.
-        """
+        """Return the effects' columns (n, m) of ``signals``, ``shapes`` (s,) and ``states`` (S,)."""
         matrix = ca.SX(self.n, len(self.columns))
         column = 0
         for p, shape, state in self._named(shapes, states):
@@ -244,11 +241,7 @@ class Model:
     def advance(
         self, before: EffectSignals, now: EffectSignals, shapes: ca.SX, states: ca.SX
     ) -> ca.SX:
-        """Return the states (S,) at a sample.
-
-        They follow from the ``states`` (S,) and signals ``before`` it, its signals ``now``, and
-        the ``shapes`` (s,).
-        """
+        """Return ``states`` (S,) after a step from signals ``before`` to ``now``; ``shapes`` (s,)."""
         after: list[ca.SX] = []
         for p, shape, state in self._named(shapes, states):
             if state:

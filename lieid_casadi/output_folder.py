@@ -90,11 +90,6 @@ def _is_inside(name: str) -> bool:
 
 def _check_replaceable(folder: str | Path, target: Path, *, force: bool) -> None:
     """Refuse a folder whose content may not be replaced."""
-    place = _protected(target)
-    if place:
-        raise OutputError(
-            f"{folder}: is {place} and not empty; expected another folder to write into"
-        )
     if listed_files(target) is None:
         raise OutputError(
             f"{folder}: not empty and not written by lieid (no {MANIFEST}); "
@@ -105,25 +100,6 @@ def _check_replaceable(folder: str | Path, target: Path, *, force: bool) -> None
             f"{folder}: not empty; expected a new folder, or --force to replace the files that "
             f"its {MANIFEST} lists"
         )
-
-
-def _protected(target: Path) -> str:
-    """Return what makes a folder one that is never replaced; empty if nothing does."""
-    if target == target.parent:
-        return "the root of a file system"
-    with contextlib.suppress(OSError):  # the current directory may be gone
-        current = Path.cwd()
-        if target.samefile(current):
-            return "the current directory"
-        if any(target.samefile(above) for above in current.parents):
-            return "above the current directory"
-    with contextlib.suppress(OSError, RuntimeError):  # a user without a home
-        home = Path.home()
-        if target.samefile(home):
-            return "the home directory"
-        if any(target.samefile(above) for above in home.parents):
-            return "above the home directory"
-    return ""
 
 
 def _files_in(folder: Path) -> list[str]:

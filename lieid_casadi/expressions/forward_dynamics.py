@@ -64,10 +64,7 @@ def inertia(torque: TorqueExpressions) -> ca.SX:
 
 
 def derivatives(torque: TorqueExpressions, symbols: Sequence[ca.SX]) -> list[ca.SX]:
-    """Return ∂q̈/∂x for each symbol x, then ∂q̈/∂τ, at a solution in the symbol ``ddq``.
-
-    With r = ID − τ = 0: ∂q̈/∂x = −(∂ID/∂q̈)⁻¹·∂ID/∂x and ∂q̈/∂τ = (∂ID/∂q̈)⁻¹.
-    """
+    """Return ∂q̈/∂x = −(∂ID/∂q̈)⁻¹·∂ID/∂x for each symbol x, then ∂q̈/∂τ, at a solution ``ddq``."""
     matrix = inertia(torque)
     slopes = [ca.jacobian(torque.inverse_dynamics, symbol) for symbol in symbols]
     right = ca.horzcat(*(-slope for slope in slopes), ca.SX.eye(torque.n))
@@ -86,11 +83,7 @@ def _solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
 
 
 def obstacle(torque: TorqueExpressions, *, remedy: str) -> str:
-    """Return why numbers have no forward dynamics within the joint limits; empty if they have.
-
-    ``torque``: with numbers as values; symbols are not tried; ``remedy``: what to do about a mass
-    matrix that is not positive definite.
-    """
+    """Return why numbers have no forward dynamics within the joint limits; empty if they have."""
     if not torque.values.numeric:
         return ""
     share = indefinite_share(torque)

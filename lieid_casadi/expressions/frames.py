@@ -17,10 +17,7 @@ from lieid_casadi.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame that moves with the arm of n ``joints``.
-
-    ``robot`` is the arm up to the link that carries the frame, and its tool is the frame.
-    """
+    """The tool of ``robot``: an arm of so many ``joints`` up to the link with the frame."""
 
     robot: Robot
     joints: int
@@ -43,11 +40,7 @@ class Frame:
 
 
 def frame_of(robot: Robot, name: str) -> Frame:
-    """Return the kinematics of the tool or of a link frame.
-
-    ``name``: ``tool``, ``link1`` … ``linkn``, or the name of a joint or of its link.
-    Raises `ModelError` if no frame has that name.
-    """
+    """Return the kinematics of ``tool``, ``link1`` … ``linkn``, or a joint's or link's name."""
     if name == "tool":
         return Frame(robot, robot.n)
     for i, joint in enumerate(robot.joints):

@@ -38,10 +38,7 @@ class SparseFunction:
 def sparse_function(
     name: str, inputs: list[ca.SX], names: list[str], matrix: ca.SX
 ) -> SparseFunction:
-    """Return a `SparseFunction` of an SX matrix.
-
-    ``names``: of the inputs.
-    """
+    """Return a `SparseFunction` of an SX matrix and its inputs' names."""
     matrix = ca.sparsify(matrix)
     rows, columns = matrix.sparsity().get_triplet()
     nonzeros = ca.vec(matrix.nz[:])  # a column of a matrix with one row, too
@@ -65,10 +62,7 @@ def ramp(dq: ca.SX, width: ca.SX) -> ca.SX:
 
 @lru_cache(maxsize=16)
 def _rigid_regressor(robot: Robot) -> tuple[Motion, ca.SX]:
-    """Return the regressor (n, 10 n) in symbols that all models of a robot share.
-
-    It takes longer to build than the columns of all effects.
-    """
+    """Return the regressor (n, 10 n) in symbols that all models of a robot share."""
     motion = Motion.symbols(robot.n)
     return motion, regressor(robot, motion)
 
@@ -132,10 +126,7 @@ class ModelFunctions:
 
     @cached_property
     def effect_columns(self) -> SparseFunction:
-        """All effect columns (n, m) as a function of motion, load, temperature, time and shapes.
-
-        With effects that have memory, ``states`` (S,) is a further input.
-        """
+        """All effect columns (n, m); ``states`` (S,) is an input of effects that have memory."""
         return self._sparse("effect_columns", *self._effects)
 
     @cached_property

@@ -114,11 +114,10 @@ def _members(model: Model, group: str) -> list[int]:
     if name in links and not where:
         first = 10 * links.index(name)
         return list(range(first, first + 10))
-    column, shape, found = 10 * n, 10 * n + count, []
-    for p in model.placements:
-        own = [*range(column, column + len(p.effect.coefficients))]
-        own += range(shape, shape + len(p.effect.shapes))
-        column, shape = column + len(p.effect.coefficients), shape + len(p.effect.shapes)
+    found, every = list[int](), range(10 * n, 10 * n + count + len(model.shapes))
+    for slot in model.slots:
+        p = slot.placement
+        own = [*every[slot.columns], *every[count:][slot.shapes]]
         single = not p.whole_arm and not isinstance(p.effect, ArmEffect)
         friction = name == "friction" and single and p.effect.name != "armature"
         if (friction or name in (p.effect.name, p.effect.label)) and p.joint in joints:
@@ -149,24 +148,20 @@ def arm_effect_columns(
 ) -> ca.SX:
     """Return the columns (n, m) of effects on the whole arm or on the measurement; others are zero.
 
-    ``coefficients`` (m,): linear coefficients, numbers or symbols; ``measurement``: whether the
-    columns are those of effects on the measurement, else on the whole arm.
     Raises `ModelError`: an effect on the measurement depends on the motion before the instant.
     """
     columns = ca.SX(model.n, len(model.columns))
-    first = 0
-    for p in model.placements:
-        last = first + len(p.effect.coefficients)
+    for slot in model.slots:
+        p = slot.placement
         if isinstance(p.effect, ArmEffect) and p.effect.on_measurement == measurement:
             if p.effect.needs_past:
                 raise ModelError(
                     f"{p.label}: the measured torque depends on the motion before the instant; "
                     "expected a model without this effect, or as_measured=False"
                 )
-            now = p.effect.instant_columns(arm, p.joint, coefficients[first:last])
+            now = p.effect.instant_columns(arm, p.joint, coefficients[slot.columns])
             if now is not None:
-                columns[:, first:last] = now
-        first = last
+                columns[:, slot.columns] = now
     return columns
 
 
@@ -241,14 +236,12 @@ class TorqueExpressions:
     @cached_property
     def all_links(self) -> ca.SX:
         """Link parameters (10 n,), with bodies that effects on the whole arm add at the tool."""
-        links, first = self.links, 0
-        for p in self.model.placements:
-            last = first + len(p.effect.coefficients)
-            if isinstance(p.effect, ArmEffect):
-                body = p.effect.tool_body(self.values.effects[first:last])
+        links = self.links
+        for slot in self.model.slots:
+            if isinstance(slot.placement.effect, ArmEffect):
+                body = slot.placement.effect.tool_body(self.values.effects[slot.columns])
                 if body is not None:
                     links = with_body(links, body, self.model)
-            first = last
         return links
 
     @cached_property

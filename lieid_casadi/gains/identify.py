@@ -193,10 +193,7 @@ LARGEST_MASS = 1e5  # kg: larger payloads are errors of unit
 def with_drive_signal(
     empty: Sequence[Recording], full: Sequence[Recording]
 ) -> tuple[list[Recording], list[Recording], str]:
-    """Return the recordings with the signal of the drives as currents, and its unit.
-
-    It is the position error q_cmd − q, in rad, if no recording has currents and all have commands.
-    """
+    """Return the recordings with currents, or the position error in rad, and the signal's unit."""
     every = (*empty, *full)
     if not every or any(r.current is not None or r.command is None for r in every):
         return list(empty), list(full), "A"

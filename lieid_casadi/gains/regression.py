@@ -52,11 +52,7 @@ class GainSolution:
 
 
 def solve_gains(unloaded: Design, loaded: Design, mass: float) -> GainSolution:
-    """Alternate between gains and noise levels of the currents until the gains converge.
-
-    ``unloaded``, ``loaded``: design matrices of the same model; their torques are currents in A;
-    ``mass``: of the payload, kg.
-    """
+    """Alternate between gains and noise levels of the currents (in place of torques), A."""
     n = unloaded.model.n
     rows = _rows(unloaded, loaded, mass)
     # triangular factors without the right-hand side, which is zero
@@ -126,10 +122,7 @@ def _clean(joint: JointRows, j: int, error: Array, gain: float) -> JointRows:
 
 
 def _linear_start(factor: Factor, n: int) -> Array:
-    """Return the linear least-squares solution [gains; others] of the stacked rows.
-
-    ``factor``: of n noisy columns, then exact columns, the last of which has coefficient 1.
-    """
+    """Return the linear solution [gains; others]; the last column has coefficient 1."""
     size = np.linalg.norm(factor.r, axis=0)
     r = factor.r / np.where(size > 0.0, size, 1.0)
     others, last = r[:, n:-1], r[:, -1]

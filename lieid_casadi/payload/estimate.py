@@ -12,7 +12,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
-from lieid_casadi.payload.body import NAMES, UNITS, body_dict, physical_quantities
+from lieid_casadi.payload.body import NAMES, UNITS
 from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:
@@ -49,7 +49,6 @@ class PayloadEstimate:
     #: along directions that cannot be identified
     parameters: Array
     covariance: Array
-    feasible: Array  # (10,) the nearest physically consistent body, as ``parameters``
     #: Quantities without a value, or with a large relative uncertainty
     not_identified: tuple[NotIdentified, ...]
     #: (n,) RMS error of the loaded run with the fit alone and with the payload, joints in motion,
@@ -124,16 +123,14 @@ class PayloadEstimate:
         return f"Payload {size}, centre of mass at ({', '.join(com)}) mm in the {self.frame}."
 
     def table(self) -> list[dict[str, Any]]:
-        """Return one row per quantity: name, value, std, interval, feasible, unit, identified."""
+        """Return one row per quantity: name, value, std, interval, unit, identified."""
         weak, ends = {part.name for part in self.not_identified}, self._interval
-        feasible = physical_quantities(self.feasible)
         return [
             {
                 "name": name,
                 "value": number_or_none(self.values[k]),
                 "std": number_or_none(self.std[k]),
                 "interval": None if np.isnan(self.values[k]) else ends[k].tolist(),
-                "feasible": float(feasible[k]),
                 "unit": UNITS[k],
                 "identified": name not in weak,
             }
@@ -158,7 +155,6 @@ class PayloadEstimate:
                 "inertia": numbers_or_none(self.std[4:]),
             },
             "interval_95": {"mass": ends[0], "com": ends[1:4], "inertia": ends[4:]},
-            "feasible": body_dict(self.feasible),
             "not_identified": [
                 {"name": part.name, "reason": part.reason} for part in self.not_identified
             ],
@@ -209,14 +205,13 @@ def quantity_table(payload: PayloadEstimate) -> Table:
             row["value"],
             row["std"],
             *(row["interval"] or (None, None)),
-            row["feasible"],
             row["unit"],
         )
         for row in payload.table()
     ]
     return make_table(
         "Payload in the tool frame; inertia about the centre of mass",
-        ("", "value", "std", "95 % from", "to", "feasible", "unit"),
+        ("", "value", "std", "95 % from", "to", "unit"),
         rows,
     )
 

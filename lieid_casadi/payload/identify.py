@@ -36,7 +36,6 @@ from lieid_casadi.payload.body import (
     SCALE,
     UNITS,
     identifiable_quantities,
-    nearest_feasible_body,
     physical_jacobian,
     physical_quantities,
 )
@@ -162,18 +161,14 @@ def _changed_friction(
 def _payload_warnings(
     fit: Fit, result: PayloadEstimate, estimate: LoadedRunEstimate, residuals: Array
 ) -> list[LieidWarning]:
-    """Warn of a negative mass, large ``residuals`` (n,), no convergence.
-
-    These are with the friction of the fit: friction identified again imitates another arm.
-    """
+    """Warn of a negative mass, no convergence, large residuals (n,) with the fit's friction."""
     found: list[LieidWarning] = []
     if result.mass < 0.0:
         significant = result.mass < -INSIGNIFICANT * result.mass_std
         found.append(
             NegativeMassWarning(
                 f"mass {with_std(result.mass, result.mass_std)} kg is negative"
-                f"{'' if significant else ', but not significantly'}; the nearest physically "
-                f"consistent body has {result.feasible[0]:.3g} kg"
+                f"{'' if significant else ', but not significantly'}"
             )
         )
     own = np.maximum(np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise), 1e-9)
@@ -220,7 +215,7 @@ def identify_payload(
     contain an error of these constants.
     Raises `ModelError`, `EffectError`, `RecordingError`: the recordings do not match the model.
     Raises `IdentificationError`: no joint moves, or the motion identifies no parameter of a
-    payload. Raises `NoSolution`: the solver did not find a physically consistent body.
+    payload.
 
     Khalil, Gautier, Lemoine, "Identification of the payload inertial parameters of industrial
     manipulators", ICRA 2007.
@@ -253,7 +248,6 @@ def identify_payload(
             "from this motion with this fit; expected a motion of several joints, in both"
         )
     found += [*checked, *changed]
-    report("feasible body", 0.8)
     result = replace(
         _result(fit, run, estimate),
         recordings=tuple(Source.of(r) for r in given),
@@ -294,7 +288,6 @@ def _result(fit: Fit, run: LoadedRun, estimate: LoadedRunEstimate) -> PayloadEst
         identifiable[:] = False
     not_identified = _not_identified(values, std, identifiable, hidden)
     unknown = ~identifiable | _too_uncertain(values, std)
-    body = nearest_feasible_body(estimate.parameters, estimate.covariance, estimate.hidden)
     return PayloadEstimate(
         robot=fit.model.robot.name,
         frame=_frame(fit.model.robot),
@@ -303,7 +296,6 @@ def _result(fit: Fit, run: LoadedRun, estimate: LoadedRunEstimate) -> PayloadEst
         std=np.where(unknown, np.nan, std),
         parameters=estimate.parameters,
         covariance=estimate.covariance,
-        feasible=body,
         not_identified=not_identified,
         rms_before=rms(estimate.before),
         rms_after=rms(estimate.after),

@@ -330,10 +330,7 @@ def _finding(
     certain: bool = False,
     unshown: str = "",
 ) -> Finding:
-    """Return an alternative as a finding, with the errors of the free or the stated fit.
-
-    ``unshown`` is the sentence where the error falls on no joint.
-    """
+    """Return an alternative as a finding; ``unshown`` is its sentence if no error falls."""
     ratios = (after.relative / before.relative)[kind]
     first, last = before.rms[kind], after.rms[kind]
     if alternative.premise == "torque_unit":

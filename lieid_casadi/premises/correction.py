@@ -180,10 +180,7 @@ def gravity_of(rpy: tuple[float, float, float], size: float = 9.81) -> Array:
 
 
 def correction_of(options: Sequence[str], n: int) -> Correction:
-    """Return the correction of n joints that options such as ``--joint-order 1 3 2`` state.
-
-    They are applied in the order of `OPTIONS`.
-    """
+    """Return the correction that options such as ``--joint-order 1 3 2`` state, in any order."""
     given = {text.split()[0]: text.split()[1:] for text in options}
     unknown = [name for name in given if name not in OPTIONS]
     if unknown:

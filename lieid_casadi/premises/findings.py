@@ -14,36 +14,17 @@ Verdict = Literal["sound", "doubtful", "wrong"]
 
 @dataclass(frozen=True)
 class Finding:
-    """A premise that the recording contradicts.
+    """A premise that the recording contradicts."""
 
-    Attributes
-    ----------
-    premise : str
-        Name, such as ``gravity_direction``.
-    joints : tuple of int
-        From 0; at most three.
-    value : mapping
-        Its keys depend on the premise.
-    sentence : str
-    remedy : str
-        The option or edit that corrects it.
-    certain : bool
-        Whether it makes the verdict ``wrong``.
-    error_before, error_after : tuple of float or None
-        (n) RMS error of the plain fit without and with the correction, N·m.
-    ratio : float or None
-        Of the error after to that before, on the joints that show it.
-    """
-
-    premise: str
-    joints: tuple[int, ...]
-    value: Mapping[str, Any]
+    premise: str  # name, such as gravity_direction
+    joints: tuple[int, ...]  # from 0; at most three
+    value: Mapping[str, Any]  # its keys depend on the premise
     sentence: str
-    remedy: str
-    certain: bool = False
-    error_before: tuple[float, ...] | None = None
-    error_after: tuple[float, ...] | None = None
-    ratio: float | None = None
+    remedy: str  # the option or edit that corrects it
+    certain: bool = False  # whether it makes the verdict ``wrong``
+    error_before: tuple[float, ...] | None = None  # (n) of the plain fit, N·m
+    error_after: tuple[float, ...] | None = None  # (n) the same with the correction
+    ratio: float | None = None  # of after to before, on the joints that show it
 
     def to_dict(self) -> dict[str, Any]:
         """Return the finding for JSON; joints from 1."""

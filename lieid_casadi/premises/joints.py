@@ -62,11 +62,7 @@ def _order(
 def _best_order(
     screen: Screen, starts: list[tuple[int, ...]], made: Callable[[tuple[int, ...]], Correction]
 ) -> tuple[int, ...] | None:
-    """Return the order with the lowest errors: the recorded joint at each joint's place.
-
-    After the first round, the exchanges that were best in it, and those of the joints that were
-    exchanged, are tried.
-    """
+    """Return the order with the lowest errors: the recorded joint at each joint's place."""
     identity = tuple(range(screen.n))
     pairs = list(combinations(range(screen.n), 2))
     tried = {identity: 0.0}

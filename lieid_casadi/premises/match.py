@@ -40,10 +40,7 @@ def unexplained(errors: Errors) -> float | None:
 
 
 def mismatch(errors: Errors) -> tuple[bool, float] | None:
-    """Return whether it is certain that the arm is another, and the part left unexplained.
-
-    None for a recording that the robot explains.
-    """
+    """Return whether it is certain that the arm is another, and the part left unexplained."""
     part = unexplained(errors)
     if part is not None and part > SOUND:
         return part > OTHER, part

@@ -159,10 +159,7 @@ def _velocity(recording: Recording, t: Array) -> Array:
 
 
 def _low_passed_sign(dq: Array, ddq: Array, window: float) -> Array:
-    """Return the sign averaged over the filter's window.
-
-    Around a reversal the velocity changes at a constant rate, so that the average is linear.
-    """
+    """Return the sign averaged over the filter's window, in which dq is taken as linear."""
     return np.clip(dq / (0.5 * window * np.abs(ddq) + 1e-12), -1.0, 1.0)
 
 
@@ -190,10 +187,7 @@ class Design:
 
 
 def design(columns: Array, s: Samples, links: Index, *, parts: bool) -> Design:
-    """Return the design of rigid columns (n, k, N) and the joints' own columns.
-
-    ``links`` (k,) are the links whose parameters the columns are, which act on no later joint.
-    """
+    """Return the design of rigid columns (n, k, N) of given links (k,) and the joints' own."""
     n, k = columns.shape[:2]
     count = PARTS if parts else 1
     matrix = np.zeros((n, count, k + OWN, k + OWN))
@@ -247,10 +241,7 @@ class Equations:
 
 @dataclass(frozen=True, eq=False)
 class _Eliminated:
-    """Normal equations (n, …) after elimination of the joints' own columns.
-
-    With base parameters β the own ones are ``start − lift β``.
-    """
+    """Normal equations (n, …) without the joints' own columns; those are start − lift·β."""
 
     matrix: Array
     vector: Array

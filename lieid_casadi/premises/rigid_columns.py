@@ -56,10 +56,7 @@ class RigidArm:
         return cls(robot, kept, base.combination, tuple(poses), own, wrenches)
 
     def columns(self, q: Array, dq: Array, ddq: Array, gravity: Array) -> Array:
-        """Return columns (n, k, N) of the regressor.
-
-        q, dq, ddq are (N, n), gravity (3,) or (3, N) in the base frame.
-        """
+        """Return columns (n, k, N) of the regressor; gravity (3,) or (3, N) in the base frame."""
         n, size = self.robot.n, len(q)
         made = np.zeros((n, len(self.kept), size))
         # in link axes: ω, α and acceleration, then v and ω of each screw
@@ -106,11 +103,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _wrenches(a: Array, alpha: Array, square: Array) -> Array:
-    """Return force and moment (6, 10) of the link parameters.
-
-    ``a`` and ``alpha`` are linear and angular acceleration (3,), ``square`` the products of ω in
-    the order of `SQUARES`.
-    """
+    """Return force and moment (6, 10) of the link parameters; ``square`` as in `SQUARES`."""
     x, y, z = alpha
     xx, yy, zz, xy, xz, yz = square
     gradient = [[-yy - zz, xy - z, xz + y], [xy + z, -xx - zz, yz - x], [xz - y, yz + x, -xx - yy]]

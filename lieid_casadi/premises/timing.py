@@ -31,8 +31,8 @@ DELAYS = np.array([-0.2, -0.1, -0.05, -0.025, 0.0, 0.025, 0.05, 0.1, 0.2])
 LEAST_DELAY = 0.008
 #: A delay up to this is what the effect `torque_delay` describes, s: a doubt at most.
 SMALL_DELAY = 0.02
-#: Time constants of a velocity filter that are tried, s.
-CONSTANTS = np.geomspace(0.01, 1.0, 25)
+#: Logarithms of the time constants of a velocity filter that are tried, s.
+LOGS = np.log(np.geomspace(0.01, 1.0, 25))
 #: Relative error of a recorded velocity from which it is not the derivative of the position, and
 #: ratio to which a filter must lower it to be named.
 NOT_DERIVATIVE, BY_FILTER = 0.15, 0.5
@@ -75,12 +75,7 @@ def delays(screen: Screen) -> Iterator[Alternative]:
 
 
 def suspected_unit(recording: Recording) -> Finding | None:
-    """Return the unit of time that the rate or the velocities show, or None.
-
-    Certain if the rate is that of no recorder, or if recorded velocities are a thousand times those
-    of the positions (a million, a milliard). Otherwise, suspected if every joint would move slower
-    than an arm does, and the rate fits.
-    """
+    """Return the unit of time that the rate, the velocities or the lack of motion show."""
     rate = mean_rate(recording.t)
     possible = unit_of_rate(rate)
     if possible and not is_plausible_rate(rate):
@@ -187,20 +182,16 @@ def _lag(s: Samples, joints: Index) -> tuple[str, float, float]:
     """Return ``filtered`` or ``delayed``, its time and the relative error that it leaves."""
     best = []
     for kind, first_order in (("low-pass filtered", True), ("delayed", False)):
-        logs = np.log(CONSTANTS)
-        error = partial(_errors_of_lag, s, joints, first_order)
-        x = best_on(error, logs, rounds=3)
-        best.append((float(error(np.array([x]))[0]), kind, float(np.exp(x))))
+        error = np.vectorize(partial(_error_of_lag, s, joints, first_order))
+        x = best_on(error, LOGS, rounds=3)
+        best.append((float(error(x)), kind, float(np.exp(x))))
     left, kind, seconds = min(best)
     return kind, seconds, left
 
 
-def _errors_of_lag(s: Samples, joints: Index, first_order: bool, log_seconds: Array) -> Array:
-    """Return the relative errors of the recorded velocity as the true one, lagged by each time."""
-    return np.array([_error_of_lag(s, joints, first_order, float(x)) for x in np.exp(log_seconds)])
-
-
-def _error_of_lag(s: Samples, joints: Index, first_order: bool, seconds: float) -> float:
+def _error_of_lag(s: Samples, joints: Index, first_order: bool, log_seconds: float) -> float:
+    """Return the relative error of the recorded velocity as the true one, lagged by a time."""
+    seconds = float(np.exp(log_seconds))
     rest, size = 0.0, 0.0
     for stretch in np.unique(s.segment):
         at = np.flatnonzero(s.segment == stretch)

@@ -88,10 +88,7 @@ def torque_of_currents(measurement: Measurement, constants: ArrayLike) -> Array:
 
 
 def torque_of_commands(measurement: Measurement, drives: Sequence[Drive]) -> Array:
-    """Return the torque (N, n) that the drives' control laws state, N·m.
-
-    Without measured velocities, those that the damping acts on are differences of the positions.
-    """
+    """Return the torque (N, n) that the drives' control laws state, N·m."""
     title, n = measurement.title, measurement.n
     if measurement.command is None:
         raise RecordingError(f"{title}: no commanded positions, expected columns qcmd1…qcmd{n}")

@@ -32,62 +32,28 @@ OPTIONAL_SIGNALS = ("dq", "tau", "ddq", "temperature", "current", "command")
 class Measurement:
     """Signals of an arm with n joints at N instants, SI units; arrays are read-only.
 
-    Attributes
-    ----------
-    t
-        (N,) time, s; strictly increasing in a recording, stamps may be irregular.
-    q, dq, ddq
-        (N, n) position, velocity, acceleration, rad or m. None where not measured:
-        derived in :func:`lieid_casadi.recording.process`, never on loading.
-    tau
-        (N, n) joint torque, N·m or N.
-    temperature
-        (N, n) °C.
-    current
-        (N, n) motor current, A.
-    command
-        (N, n) commanded position, rad or m.
-    payload_label
-        Label of the payload for each row (column ``load``).
-    torque_constants
-        (n) N·m/A with which ``tau`` was computed from ``current``; None if ``tau`` was recorded.
-    drives
-        (n) control laws with which ``tau`` was computed from ``command``; None otherwise.
-    units
-        Units of the source that were converted: ``deg``, and ``ms``, ``us`` or ``ns``.
-    columns
-        Columns of the source that were assigned to signals, such as ``tau2=tau3``.
-    corrections
-        Options that corrected a premise, such as ``--joint-order 1 3 2``.
-    pauses
-        Stamps, s, after which the recorder paused by intention: the ends of episodes. No samples
-        were lost there.
-    name
-        Name of the file or other source, for messages and tables.
-    source_hash
-        sha256 of the file's bytes, or of the arrays.
-    warnings
-        Warnings that were found on loading.
+    Signals that were not measured are None: they are derived in
+    :func:`lieid_casadi.recording.process`, never on loading.
     """
 
-    t: Array
-    q: Array
+    t: Array  # (N,) s; strictly increasing in a recording, stamps may be irregular
+    q: Array  # (N, n) rad or m
     dq: Array | None = None
-    tau: Array | None = None
+    tau: Array | None = None  # (N, n) N·m or N
     ddq: Array | None = None
-    temperature: Array | None = None
-    current: Array | None = None
-    command: Array | None = None
-    payload_label: tuple[str, ...] | None = None
-    torque_constants: tuple[float, ...] | None = None
-    drives: tuple[Drive, ...] | None = None
-    units: tuple[str, ...] = ()
-    columns: tuple[str, ...] = ()
-    corrections: tuple[str, ...] = ()
-    pauses: tuple[float, ...] = ()
-    name: str = ""
-    source_hash: str = ""
-    warnings: tuple[LieidWarning, ...] = ()
+    temperature: Array | None = None  # (N, n) °C
+    current: Array | None = None  # (N, n) motor current, A
+    command: Array | None = None  # (N, n) commanded position, rad or m
+    payload_label: tuple[str, ...] | None = None  # of each row (column ``load``)
+    torque_constants: tuple[float, ...] | None = None  # (n) N·m/A by which tau is from current
+    drives: tuple[Drive, ...] | None = None  # (n) laws by which tau is from command
+    units: tuple[str, ...] = ()  # of the source that were converted: deg; ms, us or ns
+    columns: tuple[str, ...] = ()  # of the source assigned to signals, such as tau2=tau3
+    corrections: tuple[str, ...] = ()  # options that corrected a premise
+    pauses: tuple[float, ...] = ()  # s, stamps after which the recorder paused by intention
+    name: str = ""  # of the file or other source
+    source_hash: str = ""  # sha256 of the file's bytes, or of the arrays
+    warnings: tuple[LieidWarning, ...] = ()  # found on loading
 
     def __post_init__(self) -> None:
         t = read_only(self.t)
@@ -149,10 +115,7 @@ class Measurement:
 
 
 def read_only(values: ArrayLike) -> Array:
-    """Return a read-only float64 array, because recordings are shared.
-
-    A copy, unless the memory is read-only already.
-    """
+    """Return a read-only float64 array: a copy, unless the memory is read-only already."""
     if isinstance(values, np.ndarray) and values.dtype == np.float64 and _frozen(values):
         return values
     array = np.array(values, dtype=np.float64, order="C")

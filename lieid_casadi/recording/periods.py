@@ -23,12 +23,7 @@ DIFFERENT = 0.25
 
 
 def detect_period(recording: Recording) -> float | None:
-    """Return the period of the motion, s, or None; at least two full periods are needed.
-
-    The first lag at which all moving joints return to their positions (variance of the
-    difference below 2 % of that of q, after it was above 50 %), then refined at the largest
-    multiple within the recording.
-    """
+    """Return the period of the motion, s, or None; at least two full periods are needed."""
     if len(recording.segments()) > 1:
         return None
     rate = min(SEARCH_RATE, recording.rate)

@@ -214,10 +214,7 @@ def unit_of_velocity(recording: Recording) -> tuple[str, float] | None:
 
 
 def require_velocity_units(recording: Recording) -> None:
-    """Refuse velocities that are the derivative of the positions in other units.
-
-    Any other velocity that is not the derivative is a premise (`lieid_casadi.premises.timing`).
-    """
+    """Refuse velocities that are the derivative of the positions in other units."""
     found = _velocity_gains(recording)
     if found is None:
         return
@@ -316,11 +313,7 @@ def clipped_joints(recording: Recording) -> Mask:
 
 
 def _stuck_at_top(magnitude: Array) -> bool:
-    """Return whether many values are at the top and few just below it.
-
-    A smooth peak has 2.4 times as many samples in its top slice as in the next one of the
-    same width; a clipped one has far more.
-    """
+    """Return whether far more values are at the top than just below it (2.4 times at a peak)."""
     top = float(magnitude.max())
     if top == 0.0:
         return False

@@ -109,10 +109,7 @@ class Processed:
 
     @property
     def command_error(self) -> Array | None:
-        """(K, n) commanded minus measured position that the drives' laws do not limit, or None.
-
-        It is None without commands. Beyond the limit of a law an error does not act.
-        """
+        """(K, n) commanded minus measured position within the drives' limits, if commanded."""
         if self.command is None:
             return None
         error, laws = self.command - self.q, self.recording.drives
@@ -172,10 +169,7 @@ class Processed:
 
     @cached_property
     def filtered_moving(self) -> Mask:
-        """(M, n) True where no rest is within the length of the filter.
-
-        At rest dry friction is undetermined up to its level, and the filter spreads the error.
-        """
+        """(M, n) True where no rest, with undetermined friction, is within the filter."""
         return np.asarray(np.abs(self.filter(self.moving) - 1.0) < LARGEST_REST_WEIGHT)
 
 

@@ -316,11 +316,7 @@ class Recording(Measurement):
         write_measurement(self, Path(path))
 
     def with_torque(self, constants: ArrayLike | None, drives: Sequence[Drive] | None) -> Self:
-        """Return the recording, with torque from commands or currents where it has none.
-
-        ``drives`` (n) are control laws, ``constants`` (n,) N·m/A; raises as `with_drives` and
-        `with_torque_constants`.
-        """
+        """Return the recording, with torque from commands or currents where it has none."""
         if self.tau is not None:
             return self
         if self.command is not None and drives is not None:

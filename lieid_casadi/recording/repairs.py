@@ -65,14 +65,7 @@ SPREAD = 1.5
 
 
 def without_damaged_rows(measurement: Measurement) -> tuple[Measurement, Fault | None]:
-    """Leave out rows that no recording may contain, if they are few, and exact repetitions.
-
-    Returns
-    -------
-    tuple
-        The measurement, with a warning of each kind of row, and the first fault that is left: its
-        row is counted in the measurement that was given.
-    """
+    """Leave out exact repetitions and a few damaged rows; return the first fault that is left."""
     if first_fault(measurement) is None:
         return measurement, None
     bad = ~in_range(measurement)
@@ -121,10 +114,7 @@ def _repetitions(measurement: Measurement) -> Mask:
 
 
 def repaired(measurement: Measured, revolute: Mask | None = None) -> Measured:
-    """Return a measurement, whose rows are sound, with continuous angles and without outliers.
-
-    ``revolute`` (n,) marks the joints that turn; None: all of them.
-    """
+    """Return a measurement of sound rows with continuous angles and without outliers."""
     turning = np.ones(measurement.n, bool) if revolute is None else np.asarray(revolute, bool)
     return _without_outliers(_continuous(measurement, turning))
 

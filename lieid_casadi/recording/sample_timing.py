@@ -44,11 +44,7 @@ def segment_edges(t: Array, labels: Sequence[str] | None = None) -> list[int]:
 
 
 def dropout_limit(t: Array) -> float:
-    """Return the step in time, s, beyond which samples were lost between two neighbours.
-
-    Irregular stamps are no loss: the limit lies above the spread of the steps (their
-    90th percentile), and above 1.75 sample periods.
-    """
+    """Return the step in time, s, beyond the spread of the stamps: samples were lost in it."""
     steps = np.diff(t)
     return float(max(1.75 * np.median(steps), 1.45 * np.percentile(steps, 90.0)))
 
@@ -76,10 +72,7 @@ def uniform_count(t: Array, rate: float) -> int:
 
 
 def is_plausible_rate(rate: float) -> bool:
-    """Return whether stamps with a mean rate, Hz, may be in seconds.
-
-    Whole milliseconds at 1 kHz read as seconds are exactly 1 Hz.
-    """
+    """Return whether stamps with a mean rate, Hz, may be in seconds."""
     return LOWEST_RATE * (1.0 + 1e-6) < rate <= HIGHEST_RATE
 
 

@@ -401,12 +401,12 @@ def _payload(payload: PayloadEstimate) -> Section:
     parts = not_identified(payload)
     note = (
         "In the tool frame, inertia about the centre of mass. The standard deviations include "
-        "the fit's own uncertainty. Feasible: the nearest physically consistent body."
+        "the fit's own uncertainty."
     )
     note += " Grey: not identifiable from this recording." if parts else ""
     return table_section(
         "Payload",
-        make_table("", ("", "value", "std", "95 % from", "to", "feasible", "unit"),
+        make_table("", ("", "value", "std", "95 % from", "to", "unit"),
                    map(_payload_row, rows), note=note),
         notes=[f"{names}: {reason}." for names, reason in parts],
         text={"", "unit"},
@@ -422,7 +422,6 @@ def _payload_row(row: dict[str, Any]) -> tuple[object, ...]:
         None if value is None else value_text(value, std),
         None if std is None else f"{std:.2g}",
         *ends,
-        f"{row['feasible']:.4g}",
         row["unit"],
     )
 

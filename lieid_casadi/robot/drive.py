@@ -72,18 +72,12 @@ class Drive:
     def effective_error(
         self, error: Any, velocity: Any, *, clip: Callable[[Any, float, float], Any] = np.clip
     ) -> Any:
-        """Return the position error (N,), rad, of that torque by the law without limits and D_v.
-
-        ``error``, ``velocity`` and ``clip`` are those of `torque`.
-        """
+        """Return the position error (N,), rad, of that torque by the law without limits and D_v."""
         torque = self.torque(error, velocity, clip=clip)
         return (torque + self.damping * velocity) / self.stiffness
 
     def limited(self, torque_limit: float) -> Drive:
-        """Return the law with a joint's torque limit, N·m (NaN: not stated).
-
-        A servo has its own limit, beyond which its back-EMF brakes.
-        """
+        """Return the law with a joint's torque limit, N·m (NaN: none); a servo has its own."""
         if math.isnan(torque_limit) or self.relative or math.isfinite(self.proportional_limit):
             return self
         return replace(self, torque_limit=min(torque_limit, self.torque_limit))

@@ -40,10 +40,7 @@ def pose(xyz: Sequence[float] | Array, rpy: Sequence[float] | Array) -> Array:
 
 
 def roll_pitch_yaw(rotation: ArrayLike) -> Array:
-    """Return roll, pitch, yaw (3,) in rad of a rotation matrix (3, 3); inverse of `pose`.
-
-    At pitch ±π/2, where only a combination of roll and yaw is determined, yaw is 0.
-    """
+    """Return roll, pitch, yaw (3,) of a rotation (3, 3); at pitch ±π/2 yaw is 0."""
     r = np.asarray(rotation, dtype=float)
     cosine = math.hypot(r[0, 0], r[1, 0])
     pitch = math.atan2(-r[2, 0], cosine)

@@ -82,10 +82,7 @@ def pseudo_inertia(parameters: ArrayLike) -> NDArray[np.float64]:
 
 
 def parameter_transport(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix (10, 10) that expresses link parameters in the parent frame.
-
-    ``pose`` (4, 4) is the pose of the link frame in the parent frame.
-    """
+    """Return the matrix (10, 10) that expresses link parameters in the parent frame of a pose."""
     moved = pose @ _UNIT_PSEUDO_INERTIAS @ pose.T
     return np.asarray(np.tensordot(_FROM_PSEUDO_INERTIA, moved, axes=((1, 2), (1, 2))))
 

@@ -97,10 +97,7 @@ def read_mjcf(
 
 
 def _require_bounded(path: Path) -> list[tuple[str, str]]:
-    """Return the names and texts of a model and of what it includes.
-
-    Refuses a model that asks for very many copies or cells.
-    """
+    """Return names and texts of a model and its includes; refuse very many copies or cells."""
     waiting: list[tuple[Path, tuple[Path, ...]]] = [(path, ())]
     texts: dict[Path, str] = {}
     seen = 0

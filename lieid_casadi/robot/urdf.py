@@ -126,10 +126,7 @@ def _reduced_model(
 def _numbered_urdf(
     numbers: dict[str, int], links: Sequence[UrdfLink], joints: Sequence[UrdfJoint]
 ) -> str:
-    """Return a URDF of the checked numbers alone, elements named by their numbers.
-
-    Each movable joint has one coordinate, and no name can clash with one of Pinocchio's.
-    """
+    """Return a URDF of the checked numbers alone, elements named by their numbers."""
     root = ElementTree.Element("robot", name="robot")
     for k, link in enumerate(links):
         element = ElementTree.SubElement(root, "link", name=f"link{k}")

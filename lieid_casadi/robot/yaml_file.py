@@ -216,10 +216,7 @@ def read_inertia(field: Field) -> Array:
 
 
 def write_yaml(robot: RobotDescription) -> str:
-    """Return the YAML of a robot; `lieid_casadi.robot.yaml_file` reads it back, to round-off.
-
-    The names of links and the text from which the robot was read are not part of it.
-    """
+    """Return the YAML of a robot, without the names of links; `read_yaml` reads it back."""
     data = {
         "name": robot.name,
         "gravity": _numbers(robot.gravity),

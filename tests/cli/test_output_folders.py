@@ -18,37 +18,6 @@ def export(run, folder, *more):
     return run("export", "fit.json", "--to", "c", "-o", folder, *more)
 
 
-@pytest.mark.parametrize(
-    "place", ["current", "absolute", "linked", "parent", "home", "above home", "root"]
-)
-def test_folders_that_are_never_replaced(work, run, monkeypatch, place):
-    """Not even where they hold a manifest."""
-    inner, home = work / "inner", work / "home"
-    for folder in (inner, home, home / "user"):
-        folder.mkdir()
-        (folder / "notes.txt").write_text("notes")
-    (work / "link").symlink_to(inner)
-    for folder in (work, inner, home):
-        content = {"program": "lieid-casadi", "files": ["notes.txt", "fit.json", "arm.c"]}
-        (folder / MANIFEST).write_text(json.dumps(content))
-    monkeypatch.setenv("HOME", str(home / "user" if place == "above home" else home))
-    monkeypatch.chdir(inner)
-    before = tree(work)
-    named = {
-        "current": ".", "absolute": inner, "linked": work / "link", "parent": "..", "home": home,
-        "above home": home, "root": "/",
-    }[place]  # fmt: skip
-    for words in (
-        ["export", work / "fit.json", "--to", "c"],
-        ["export", work / "fit.json", "--to", "urdf"],
-        ["excite", "two_link"],
-        ["discriminate", work / "fit.json", "stribeck:1", "coulomb:2"],
-        ["demo"],
-    ):
-        refused(run(*words, "-o", named, "--force"), "not empty", "expected another folder")
-    assert tree(work) == before
-
-
 @pytest.mark.parametrize("force", [[], ["--force"]])
 def test_a_folder_without_a_manifest_is_never_replaced(work, run, force):
     (work / "out").mkdir()

@@ -137,14 +137,12 @@ def test_an_unloaded_run_has_no_significant_payload(fit):
 
 
 @pytest.mark.slow
-def test_negative_mass_is_reported_with_a_feasible_body():
+def test_negative_mass_is_reported():
     fit = fitted(LOADED)
     found = lieid.identify_payload(fit, measured(ARM, motion=7, seed=5))
     assert found.mass == pytest.approx(-MASS, abs=4 * found.mass_std)
     assert any(isinstance(w, NegativeMassWarning) for w in found.warnings)
     assert "less than the fit includes" in found.sentence
-    assert found.feasible[0] > 0.0
-    assert found.to_dict()["feasible"]["eigenvalues"][0] > 0.0
 
 
 def test_a_planar_arm_identifies_four_quantities():
@@ -157,7 +155,6 @@ def test_a_planar_arm_identifies_four_quantities():
     assert found.mass == pytest.approx(1.5, abs=3 * found.mass_std)
     reasons = {part.name: part.reason for part in found.not_identified}
     assert "does not depend on" in reasons["com_z"]
-    assert found.to_dict()["feasible"]["eigenvalues"][0] > 0.0
 
 
 def test_a_training_recording_is_reported(fit):
@@ -197,7 +194,6 @@ def test_motion_about_the_vertical_does_not_identify_mass(fit):
     assert np.isnan(found.values).all()
     assert found.to_dict()["mass"] is None
     assert found.sentence == "The mass of the payload cannot be identified from this motion."
-    assert found.to_dict()["feasible"]["eigenvalues"][0] > 0.0
 
 
 def test_table_and_plot(payload):

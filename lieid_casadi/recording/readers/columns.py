@@ -288,10 +288,7 @@ def measurement_of_columns(
 
 
 def reassigned(measurement: Measurement, stated: Sequence[tuple[str, str]]) -> Measurement:
-    """Return a measurement whose signals, of all joints or of one, are taken for other ones.
-
-    ``stated`` are pairs of names of the file format, such as tau2 and tau3, or i and tau.
-    """
+    """Return a measurement with signals taken for others: pairs of names such as tau2, tau3."""
     columns, source = columns_of(measurement), dict[str, str]()
     for name, column in stated:
         joint = "" if column[-1].isdigit() or column in columns else "[0-9]+"

@@ -220,10 +220,7 @@ def numbered_lines(file: Path) -> Iterator[tuple[int, str]]:
     with file.open("rb") as raw:
         binary: IO[bytes] = raw
         if file.name.lower().endswith(".gz"):
-            limit = min(INFLATE_LIMIT, max(UNSUSPICIOUS, LARGEST_RATIO * file.stat().st_size))
-            inflated = gzip.GzipFile(fileobj=raw)
-            error = beyond_limit(file, limit)
-            binary = io.BufferedReader(_BoundedStream(inflated, limit, error), 1 << 18)
+            binary = io.BytesIO(_inflated(raw, file))
         text = io.TextIOWrapper(binary, encoding="utf-8-sig")
         number = blank = 0
         while line := _next_line(text, file, number + 1):
@@ -236,15 +233,24 @@ def numbered_lines(file: Path) -> Iterator[tuple[int, str]]:
                 raise RecordingError(f"{file}: found {blank} blank lines, expected a CSV")
 
 
+def _inflated(raw: IO[bytes], file: Path) -> bytes:
+    limit = min(INFLATE_LIMIT, max(UNSUSPICIOUS, LARGEST_RATIO * file.stat().st_size))
+    try:
+        content = gzip.GzipFile(fileobj=raw).read(limit + 1)
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise RecordingError(
+            f"{file}: not a complete gzip file ({error}); expected gzip, or the suffix .csv"
+        ) from error
+    if len(content) > limit:
+        raise beyond_limit(file, limit)
+    return content
+
+
 def _next_line(text: IO[str], file: Path, number: int) -> str:
     try:
         line = text.readline(LONGEST_LINE)
     except UnicodeDecodeError:
         line = "\0"
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise RecordingError(
-            f"{file}: not a complete gzip file ({error}); expected gzip, or the suffix .csv"
-        ) from error
     if "\0" in line:
         raise RecordingError(f"{file}: found binary data, expected a CSV")
     if len(line) >= LONGEST_LINE:
@@ -252,21 +258,3 @@ def _next_line(text: IO[str], file: Path, number: int) -> str:
             f"{file}: line {number}: found more than {LONGEST_LINE} characters, expected a CSV"
         )
     return line
-
-
-class _BoundedStream(io.RawIOBase):
-    """A binary stream that raises an error beyond a number of bytes."""
-
-    def __init__(self, source: gzip.GzipFile, limit: int, error: RecordingError) -> None:
-        super().__init__()
-        self._source, self._left, self._error = source, limit, error
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        count = self._source.readinto(buffer)
-        self._left -= count
-        if self._left < 0:
-            raise self._error
-        return count

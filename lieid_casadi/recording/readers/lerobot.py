@@ -287,10 +287,7 @@ def _limits(
 
 
 def _calibrated(file: Path, motors: Sequence[str], limits: Array | None) -> Array:
-    """Return the ends (n, 2), rad, from LeRobot's calibration file.
-
-    The closed end of a gripper is at its lower limit.
-    """
+    """Return the ends (n, 2), rad, from LeRobot's calibration file; a gripper's lower is closed."""
     if not file.is_file():
         raise RecordingError(f"{file}: no such file, expected LeRobot's calibration as JSON")
     if file.stat().st_size > LARGEST_FILE:

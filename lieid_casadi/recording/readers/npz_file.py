@@ -33,10 +33,7 @@ EXPECTED = "arrays t (N,), q (N, n) and optionally dq, tau, ddq, temp, i (N, n),
 
 
 def read_npz(file: Path, options: ReadOptions) -> Measurement:
-    """Read an NPZ; pickled objects are refused, so that loading never runs code.
-
-    Members with other names than those of signals are not inflated.
-    """
+    """Read an NPZ; pickled objects are refused, so that loading never runs code."""
     if file.stat().st_size == 0:
         raise RecordingError(f"{file}: found an empty file, expected {EXPECTED}")
     with library_errors(file, "an NPZ of plain arrays"):

@@ -83,10 +83,7 @@ FORMAT = RecordingFormat(suffixes=(".parquet",), read=read_parquet, write=write_
 
 
 def require_bounded_size(file: Path) -> None:
-    """Refuse a file that decodes to more than the limit and to far more than its own size.
-
-    Measured signals hardly compress, so that files of real recordings pass whatever their size.
-    """
+    """Refuse a file that decodes to far more than its own size, as no measured signals do."""
     size = decoded_bytes(file)
     if size > INFLATE_LIMIT and size > LARGEST_RATIO * file.stat().st_size:
         raise beyond_limit(file, INFLATE_LIMIT)
