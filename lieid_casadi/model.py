@@ -229,7 +229,7 @@ class Model:
     def effect_columns(
         self, signals: EffectSignals, shapes: ca.SX, states: ca.SX | None = None
     ) -> ca.SX:
-        """Return the effects' columns (n, m) of ``signals``, ``shapes`` (s,) and ``states`` (S,)."""
+        """Return the columns (n, m) of effects at ``signals``, ``shapes`` (s,), ``states`` (S,)."""
         matrix = ca.SX(self.n, len(self.columns))
         column = 0
         for p, shape, state in self._named(shapes, states):
@@ -241,7 +241,7 @@ class Model:
     def advance(
         self, before: EffectSignals, now: EffectSignals, shapes: ca.SX, states: ca.SX
     ) -> ca.SX:
-        """Return ``states`` (S,) after a step from signals ``before`` to ``now``; ``shapes`` (s,)."""
+        """Return ``states`` (S,) after a step from ``before`` to ``now``, with ``shapes`` (s,)."""
         after: list[ca.SX] = []
         for p, shape, state in self._named(shapes, states):
             if state:
