@@ -167,6 +167,8 @@ class Design:
         ]
         self._rows: Rows | None = None
         self._last: tuple[tuple[bytes, bytes | None], list[Array]] | None = None
+        #: of each segment: varying columns (K, a) as evaluated last, and filtered (M, a)
+        self._evaluated: list[tuple[Array, Array] | None] = [None] * len(self.segments)
 
     def rows(self, shapes: Array, link_parameters: Array | None) -> Rows:
         """Return the equations at shapes (s,) and the load by link parameters (None: no load).
@@ -222,14 +224,27 @@ class Design:
         """
         key = shapes.tobytes(), None if links is None else links.tobytes()
         if self._last is None or self._last[0] != key:
-            self._last = key, [self._varying_columns(s, shapes, links) for s in self.segments]
+            numbers = range(len(self.segments))
+            self._last = key, [self._varying_columns(k, shapes, links) for k in numbers]
         return self._last[1]
 
-    def _varying_columns(self, segment: Processed, shapes: Array, links: Array | None) -> Array:
-        """Return the filtered varying columns (M, n, v)."""
+    def _varying_columns(self, number: int, shapes: Array, links: Array | None) -> Array:
+        """Return the filtered varying columns (M, n, v) of a segment.
+
+        Filtered are those that changed since the last call: a search moves one effect at a time.
+        """
+        segment = self.segments[number]
         effects = effects_along(self.compiled, segment, shapes, links)
         joints, places = self._pairs
-        filtered = segment.filter(effects[:, joints, self._wanted[places]])
+        raw = effects[:, joints, self._wanted[places]]
+        before = self._evaluated[number]
+        if before is None:
+            filtered = segment.filter(raw)
+        else:
+            filtered = before[1].copy()
+            changed = (raw != before[0]).any(axis=0)
+            filtered[:, changed] = segment.filter(raw[:, changed])
+        self._evaluated[number] = raw, filtered
         columns = np.zeros((len(filtered), self.model.n, len(self._wanted)))
         columns[:, joints, places] = filtered
         return columns
