@@ -9,7 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison, compare
-from lieid_casadi.comparison.compare import compared_segments
+from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis.evidence import Slot
 from lieid_casadi.diagnosis.gates import reason_against
@@ -94,8 +94,8 @@ class MissingEffects:
         self.report("measure the effects", 0.9)
         tests = compared_segments(fit, self.tests) if self.tests else None
         final = FinalModel.of(fit, self.segments, tests)
-        before = compare(first, self.tests) if self.tests else None
         after = compare(fit, self.tests) if self.tests else None
+        before = compare_segments(first, self.tests, tests, with_noise=False) if tests else None
         fitted = compare(fit, self.train)
         torque = np.array([np.sqrt(np.mean(t**2)) if len(t) else np.nan for t in rows.torque])
         last_rows = Rows.of(
