@@ -18,11 +18,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
         USD stage, actuators of Isaac Lab and mjlab, friction of UR's driver
     @FOLDER
     --prefix NAME  prefix of all C names; default: arm
-    --functions NAME,NAME…  C functions to write, such as torque,mass_matrix; default: all
-        that the fit has
     --payload  a body at the tool is an argument of the C functions
-    --compensated FIT2: input  for ur-friction: fit of motion under direct torque with the
-        default scales
     --into FILE: input  for urdf, mjcf and usd: the file into whose copy the numbers are
         written, such as the export of the other arm of a robot; default: the robot's own
     @EFFECTS_FILE
@@ -32,7 +28,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
     for name, given, what in (
         (f"--prefix {args.prefix}:", args.prefix is not None, "a prefix applies"),
-        ("--functions:", args.functions is not None, "a choice of functions applies"),
         ("--payload", args.payload, "applies"),
     ):
         if given and args.to != "c":
@@ -42,9 +37,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
         args.output,
         to=args.to,
         prefix=args.prefix,
-        functions=None if args.functions is None else args.functions.split(","),
         payload=args.payload,
-        compensated=None if args.compensated is None else Fit.load(args.compensated),
         into=args.into,
         force=args.force,
     )

@@ -47,9 +47,7 @@ def export(
     to: Format,
     *,
     prefix: str | None = None,
-    functions: Sequence[str] | None = None,
     payload: bool = False,
-    compensated: Fit | None = None,
     into: str | Path | None = None,
     force: bool = False,
 ) -> Export:
@@ -62,18 +60,14 @@ def export(
     folder : str or Path
         Made if it does not exist; written as a whole or not at all.
     to : {"c", "urdf", "mjcf", "usd", "isaaclab", "ur-friction"}
-        C99 code with its self-test, a URDF, a MuJoCo model, a USD stage of your own,
-        Isaac Lab's actuators, or friction for Universal Robots' direct torque control.
+        C99 code with its self-test (without forward dynamics, with a note, if the mass matrix is
+        not positive definite in a pose within the joint limits), a URDF, a MuJoCo model, a USD
+        stage of your own, Isaac Lab's actuators, or friction for Universal Robots' direct torque
+        control.
     prefix : str, optional
         Of all C names, so that one program can contain several arms; ``arm`` if left out.
-    functions : sequence of str, optional
-        C functions to write, of `lieid_casadi.exporters.c.functions.NAMES`; those that they
-        call are added. Default: all that the fit has. Forward dynamics are left out, with a
-        note, if the mass matrix is not positive definite in a pose within the joint limits.
     payload : bool
         The C functions have a body at the tool (ten link parameters) as an argument.
-    compensated : Fit, optional
-        For ``ur-friction``: a fit of motion under direct torque with the default scales.
     into : str or Path, optional
         For ``usd``, ``urdf`` and ``mjcf``: the file into whose copy the numbers are written, such
         as the export of another arm of the same robot. Needed for ``usd``; the default of the
@@ -98,19 +92,15 @@ def export(
         )
         raise ExportError(f"format {str(to)!r}; expected {', '.join(get_args(Format))}{hint}")
     check_folder(folder, force=force)
-    if to != "c" and (prefix is not None or functions is not None or payload):
-        raise ExportError("prefix, functions and payload apply to C code; expected to='c'")
-    if to != "ur-friction" and compensated is not None:
-        raise ExportError("compensated applies to ur-friction; expected to='ur-friction'")
+    if to != "c" and (prefix is not None or payload):
+        raise ExportError("prefix and payload apply to C code; expected to='c'")
     if to not in ("usd", "urdf", "mjcf") and into is not None:
         raise ExportError("into applies to urdf, mjcf and usd; expected one of these")
     if to == "c":
         names = "arm" if prefix is None else prefix
-        files, notes = c_files(fit, prefix=names, functions=functions, payload=payload)
-    elif to == "ur-friction":
-        files, notes = ur_friction_files(fit, compensated)
-    elif to == "isaaclab":
-        files, notes = isaaclab_files(fit)
+        files, notes = c_files(fit, prefix=names, payload=payload)
+    elif to in ("ur-friction", "isaaclab"):
+        files, notes = (ur_friction_files if to == "ur-friction" else isaaclab_files)(fit)
     else:
         files, notes = {"urdf": urdf_files, "mjcf": mjcf_files, "usd": usd_files}[to](fit, into)
     return Export(write_folder(folder, files, force=force), tuple(notes))

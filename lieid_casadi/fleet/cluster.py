@@ -19,7 +19,12 @@ from lieid_casadi.messages import reason_of
 #: Of a cluster on this machine. Dask lets malloc return memory after every array of 64 kB, which
 #: costs an arm-night a quarter of its time in page faults; the limit of a worker's memory stays.
 #: The profiler is not used, and clocks that run 50 times per second cost 1 to 2 % of a core each.
-LOCAL_SETTINGS = {
+#: On a machine that does other work, a process that computes may be silent for minutes, and its
+#: successor may need as long to start; Dask would end the first, and give the second 15 s.
+LOCAL_SETTINGS: dict[str, Any] = {
+    "distributed.deploy.lost-worker-timeout": "1 day",
+    "distributed.scheduler.worker-ttl": None,
+    "distributed.comm.timeouts.connect": "10 minutes",
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 128 * 2**20,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 32 * 2**20,
     "distributed.worker.profile.enabled": False,
@@ -29,7 +34,7 @@ LOCAL_SETTINGS = {
 LARGEST_BATCH = 16  # arm-nights of one task, whose rows are recorded together
 BATCHES_PER_THREAD = 8  # at least, so that all threads end together
 CHECK_EVERY = 1.0  # s: of timeouts and of the connection
-WORKERS_WAIT = 120.0  # s: for which a cluster may be without workers
+WORKERS_WAIT = 120.0  # s: for which a given cluster may be without workers
 
 
 @dataclass(frozen=True)
@@ -57,18 +62,20 @@ def dask_client(options: RunOptions) -> Iterator[Any]:
     settings = LOCAL_SETTINGS | {"distributed.scheduler.allowed-failures": options.losses}
     with dask.config.set(settings), contextlib.ExitStack() as stack:
         address: Any = options.scheduler
+        patience = "15s"
         if address is None:
+            patience = LOCAL_SETTINGS["distributed.comm.timeouts.connect"]
             address = stack.enter_context(
                 LocalCluster(
                     n_workers=options.workers,
                     threads_per_worker=1,
                     memory_limit=options.memory,
-                    dashboard_address=None,
+                    dashboard_address="127.0.0.1:0",  # not 8787 of every network
                     silence_logs=logging.CRITICAL,
                 )
             )
         try:
-            client = stack.enter_context(Client(address, timeout="15s"))
+            client = stack.enter_context(Client(address, timeout=patience))
         except (OSError, ValueError) as error:
             raise FleetError(
                 f"{options.scheduler}: no Dask scheduler: {reason_of(error)}"
@@ -149,7 +156,7 @@ def run_on_cluster(
     try:
         while waiting or running:
             threads, now = sum(client.nthreads().values()), time.monotonic()
-            last_worker = now if threads else last_worker
+            last_worker = now if threads or _is_starting(client) else last_worker
             if now - last_worker > WORKERS_WAIT:
                 raise ClusterLost(
                     f"the Dask cluster {options.scheduler or ''} has had no workers for "
@@ -207,6 +214,12 @@ def _result(future: Any) -> Batch | str:
             "of the cluster"
         )
     return f"{type(error).__name__}: {reason_of(error)}"
+
+
+def _is_starting(client: Any) -> bool:
+    """Whether a cluster on this machine has a nanny, which starts a worker that was lost again."""
+    nannies = getattr(client.cluster, "workers", {}).values()
+    return any(nanny.status.name in ("init", "starting", "running") for nanny in nannies)
 
 
 def _count(running: Mapping[Any, tuple[Sequence[ArmNight], float]]) -> int:

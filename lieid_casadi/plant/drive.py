@@ -20,10 +20,7 @@ class Drive:
         effects = [e for e in arm.effects if isinstance(e, JointEffect)]
         self._friction = arm.friction
         terms = ("level", "level_slope", "level_scale", "viscous", "viscous_scale", "torque")
-        self._defining = {
-            term: [e for e in effects if getattr(type(e), term) is not getattr(JointEffect, term)]
-            for term in terms
-        }
+        self._defining = {term: [e for e in effects if hasattr(e, term)] for term in terms}
         self.hysteresis_width = np.zeros(arm.n)
         for effect in arm.effects_of(Presliding):
             self.hysteresis_width[effect.joint] = effect.width

@@ -43,39 +43,16 @@ class HiddenEffect:
 
 @dataclass(frozen=True)
 class JointEffect(HiddenEffect):
-    """An effect on the torque of one joint (from 0); undefined methods change nothing.
+    """An effect on the torque of one joint (from 0).
 
     The drive's torque is rigid + armature·q̈ + ``torque``
     + ``viscous_scale``·(f_v·q̇ + ``viscous``) + dry friction, where dry friction is
     sgn(q̇)·``level_scale``·(f_c + ``level``) in motion; at rest it takes the value that keeps the
-    joint at rest, up to that level.
+    joint at rest, up to that level. Subclasses define those of these methods, of a `JointState`,
+    that they change; with ``level`` its derivative by the load, ``level_slope``.
     """
 
     joint: int
-
-    def level(self, s: JointState) -> Array:
-        """Return what is added to the level of dry friction, N·m."""
-        return np.zeros(())
-
-    def level_slope(self, s: JointState) -> Array:
-        """Return the derivative of ``level`` by the load, for the simulation's Newton steps."""
-        return np.zeros(())
-
-    def level_scale(self, s: JointState) -> Array:
-        """Return the factor on dry friction."""
-        return np.ones(())
-
-    def viscous(self, s: JointState) -> Array:
-        """Return added friction that vanishes at rest, N·m."""
-        return np.zeros(())
-
-    def viscous_scale(self, s: JointState) -> Array:
-        """Return the factor on friction that vanishes at rest."""
-        return np.ones(())
-
-    def torque(self, s: JointState) -> Array:
-        """Return added torque that is not friction of this joint, N·m."""
-        return np.zeros(())
 
 
 SLOWEST = 1e-12  # rad/s: keeps |τ|/|q̇| finite at rest

@@ -135,34 +135,17 @@ def simulate_batch(
     The integrator is that of `simulate`, compiled to C that takes several motions per instruction.
     The first call for a model compiles it, which takes seconds; it is kept in the user's cache.
 
-    Parameters
-    ----------
-    fits : Fit or sequence of Fit
-        One for all motions, or one for each of the W motions, such as ``fit.sample(W)``: of one
-        model, with the same plays.
-    q, dq : (W, n)
-        Positions and velocities at the start, rad and rad/s.
-    inputs : (T, W, n)
-        Commanded positions, rad, or torques, N·m, of T intervals; held within each. Delays of
-        commands that the fit states contain half of an interval.
-    interval : float
-        s; it is divided into steps of at most 1 ms.
-    history : int
-        Number of the inputs that precede the start, which delayed commands need.
-    under : {"command", "torque"}, optional
-        What the inputs are; commands if the robot has drives. The temperature is that of training.
-    threads : int, optional
-        That share the motions; two if left out.
+    ``fits``: one for all of W motions, or one for each, such as ``fit.sample(W)``: of one model,
+    with the same plays. ``q``, ``dq`` (W, n) are the start, rad and rad/s; ``inputs`` (T, W, n)
+    commanded positions, rad, or torques, N·m (``under``, by default commands if the robot has
+    drives), each held for an ``interval`` in s, of which the first ``history`` precede the start,
+    as delayed commands need. Delays that the fit states contain half of an interval. The
+    temperature is that of training.
 
-    Returns
-    -------
-    q, dq : (T + 1, W, n)
-        At the start and at the end of each interval; NaN once a motion has left every range.
+    Returns positions and velocities (T − history + 1, W, n) at the start and the end of each
+    interval; NaN once a motion has left every range.
 
-    Raises
-    ------
-    ModelError
-        Arrays of other shapes, fits of different models, or commands without drives.
+    ModelError: arrays of other shapes, fits of different models, or commands without drives.
     """
     given = [fits] if isinstance(fits, Fit) else list(fits)
     first, n = given[0], given[0].model.n

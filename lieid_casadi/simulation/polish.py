@@ -58,25 +58,11 @@ def polish(
     Regression of filtered torques is biased where friction changes its sign and where positions
     are coarse. From the fit's solution, its effects' coefficients are changed within their bounds
     such that windows of the motion, which start in measured states, are reproduced (prediction
-    error, by least squares on compiled simulations). Inertias remain those of the fit.
+    error, by least squares on compiled simulations). Inertias remain those of the fit, which has a
+    drive law and is of method ``feasible``; the recordings are those of the fit, with commanded
+    positions. ``window`` is in s, ``iterations`` the largest number of derivatives.
 
-    Parameters
-    ----------
-    fit : Fit
-        With a drive law and of method ``feasible``.
-    recordings : Recording or sequence of Recording
-        With commanded positions; those of the fit.
-    window : float
-        Length of the windows, s.
-    iterations : int
-        Evaluations of the derivatives, at most.
-    progress : callable, optional
-        Called with a stage's name and the fraction done.
-
-    Raises
-    ------
-    ModelError
-        No commands or drives, or the mass matrix is not positive definite.
+    ModelError: no commands or drives, or the mass matrix is not positive definite.
     """
     given, report = listed(recordings), progress or (lambda stage, fraction: None)
     input_of(fit, given, "command")

@@ -48,8 +48,8 @@ def short_recordings(n):
 class Arm:
     """Exported functions on one sample."""
 
-    def __init__(self, fit, folder, functions=("torque",)):
-        export(fit, folder, functions=functions, to="c")
+    def __init__(self, fit, folder):
+        export(fit, folder, to="c")
         self.n, self.c = fit.model.n, library(folder)
         self.state = ctypes.create_string_buffer(4096)
 

@@ -65,13 +65,6 @@ def test_dynamics_with_a_payload_are_those_of_symbolic(tmp_path):
         np.testing.assert_allclose(found, ddq, atol=1e-9)
 
 
-def test_kinematics_alone_have_no_payload(tmp_path):
-    made = export(ARMS["rigid"](), tmp_path, functions=["jacobian"], payload=True, to="c")
-    assert any("payload: no function depends on it" in note for note in made.notes)
-    assert "arm_numbers" not in (tmp_path / "arm.h").read_text()
-    assert "jacobian" in self_test(tmp_path, BUILDS["gcc"])
-
-
 ARM_BUILDS = {
     "aarch64 gcc": ("aarch64-linux-gnu-gcc", "qemu-aarch64"),
     "32 bit gcc": ("arm-linux-gnueabihf-gcc", "qemu-arm"),

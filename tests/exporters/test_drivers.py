@@ -84,26 +84,10 @@ def six_joints(viscous, coulomb):
     )
 
 
-def written(made):
-    return yaml.safe_load(made.files[0].read_text())
-
-
-def test_ur_scales_compensate_all_friction(tmp_path):
-    """The robot's own model has 1/0.95 of the viscous and half of the Coulomb friction."""
-    viscous, coulomb = np.linspace(4.0, 9.0, 6), np.linspace(3.0, 8.0, 6)
-    given = np.array([[0.9, 0.9, 0.8, 0.9, 0.9, 0.9], [0.8, 0.8, 0.7, 0.8, 0.8, 0.8]])
-    rest = six_joints(viscous * (1.0 - given[0] / 0.95), coulomb * (1.0 - 0.5 * given[1]))
-    made = lieid.export(
-        six_joints(viscous, coulomb), tmp_path / "ur", to="ur-friction", compensated=rest
-    )
-    scales = written(made)["parameters"]
-    np.testing.assert_allclose(scales["viscous_scale"], 0.95, atol=1e-3)
-    np.testing.assert_allclose(scales["coulomb_scale"], 1.0)  # 2, which the controller refuses
-
-
-def test_ur_friction_of_one_fit_is_added_by_the_controller(tmp_path):
+def test_ur_friction_is_added_by_the_controller(tmp_path):
     viscous, coulomb = np.full(6, 5.0), np.full(6, 2.0)
-    data = written(lieid.export(six_joints(viscous, coulomb), tmp_path / "ur", to="ur-friction"))
+    made = lieid.export(six_joints(viscous, coulomb), tmp_path / "ur", to="ur-friction")
+    data = yaml.safe_load(made.files[0].read_text())
     assert data["parameters"] == {"viscous_scale": [0.0] * 6, "coulomb_scale": [0.0] * 6}
     np.testing.assert_allclose(data["identified"]["viscous"], viscous, rtol=1e-9)
     np.testing.assert_allclose(data["identified"]["coulomb"], coulomb, rtol=1e-9)
@@ -115,5 +99,3 @@ def test_misuse_is_named(tmp_path):
         lieid.export(fit, tmp_path / "ur", to="ur-friction")
     with pytest.raises(ExportError, match="did you mean export"):
         lieid.export(fit, "c", tmp_path / "arm")
-    with pytest.raises(ExportError, match="compensated applies"):
-        lieid.export(fit, tmp_path / "arm", to="c", compensated=fit)

@@ -66,13 +66,13 @@ def test_export_writes_each_format(tmp_path):
     from exporters.test_urdf_export import fitted
 
     fit = made_fit(ROBOT, "")
-    made = lieid.export(fit, tmp_path / "c", to="c", prefix="scara", functions=["gravity"])
+    made = lieid.export(fit, tmp_path / "c", to="c", prefix="scara")
     assert {path.name for path in made.files} >= {"scara.h", "scara.c"}
     made = lieid.export(fitted(ROBOT), tmp_path / "mjcf", to="mjcf")
     assert made.files[0].name == "two_link.xml"
     with pytest.raises(ExportError, match="format 'matlab'; expected c, urdf, mjcf"):
         lieid.export(fit, tmp_path / "other", to="matlab")
-    with pytest.raises(ExportError, match=r"prefix, .*apply to C code"):
+    with pytest.raises(ExportError, match="prefix and payload apply to C code"):
         lieid.export(fit, tmp_path / "other", to="urdf", prefix="scara")
     assert not (tmp_path / "other").exists()
 

@@ -17,14 +17,12 @@ from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.c.functions import (
-    RIGID_ARGUMENTS,
     SAMPLE_ARGUMENTS,
     TOLERANCE,
-    WITHOUT_NUMBERS,
     ExportedFunctions,
+    available,
     exported_functions,
     number,
-    select,
 )
 from lieid_casadi.exporters.c.self_test import self_test_content
 from lieid_casadi.identification.fit import Fit
@@ -42,7 +40,6 @@ def c_files(
     fit: Fit,
     *,
     prefix: str = "arm",
-    functions: Sequence[str] | None = None,
     payload: bool = False,
 ) -> tuple[dict[str, bytes], list[str]]:
     """Return library, self-test, CMake project and README by file name, and notes for their users.
@@ -51,8 +48,8 @@ def c_files(
     cos, exp, tanh, fabs and sqrt; the header states order, shape and unit of each argument. The
     self-test compares their results with CasADi. Options are those of `lieid_casadi.export`.
 
-    Raises `ExportError`: the prefix is not usable, a function does not exist, an effect has no C
-    form or needs more than one instant, or a number is not finite.
+    Raises `ExportError`: the prefix is not usable, an effect has no C form or needs more than one
+    instant, or a number is not finite.
     """
     if not re.fullmatch(r"(?!lieid_)[a-z][a-z0-9_]*", prefix, re.ASCII | re.IGNORECASE):
         raise ExportError(
@@ -61,12 +58,9 @@ def c_files(
         )
     for value in (*fit.parameters, *fit.values, *fit.shapes):
         number(value)
-    chosen, left_out = select(fit, functions)
+    names, left_out = available(fit)
     notes = [*left_out, *_notes(fit)]
-    if payload and set(chosen) <= set(WITHOUT_NUMBERS):
-        notes.append("payload: no function depends on it, so it is no argument")
-        payload = False
-    made = exported_functions(fit, chosen, payload=payload)
+    made = exported_functions(fit, names, payload=payload)
     comments = [comment(note) for note in notes]
     content = {
         "notes": comments,
@@ -267,8 +261,6 @@ def _of_functions(model: Model, made: ExportedFunctions) -> dict[str, Any]:
     used += [made.advance.used] if made.advance else []
     return {
         "bodies": made.bodies,
-        "rigid": [name for name in RIGID_ARGUMENTS if name in made.bodies],
-        "of_samples": [name for name in SAMPLE_ARGUMENTS if name in made.bodies],
         "advance": made.advance,
         "remembers_load": made.remembers_load,
         "advance_reads_load": made.advance_reads_load,

@@ -185,28 +185,13 @@ class ExportedFunctions:
     advance_reads_load: bool
 
 
-def select(fit: Fit, requested: Sequence[str] | None) -> tuple[list[str], list[str]]:
-    """Return the names of the functions to export, in the order of `NAMES`, and notes.
-
-    None stands for all that the fit has; an `ExportError` names a function that it does not have.
-    """
-    wanted = list(NAMES) if requested is None else list(requested)
-    unknown = [name for name in wanted if name not in NAMES]
-    if unknown or not wanted:
-        raise ExportError(
-            f"functions: got {', '.join(map(repr, unknown)) or 'none'}; "
-            f"expected some of {', '.join(NAMES)}"
-        )
-    missing: dict[str, str] = {}
-    if "forward_dynamics" in wanted:
-        missing = _no_forward_dynamics(fit)
+def available(fit: Fit) -> tuple[list[str], list[str]]:
+    """Return the names of the functions that a fit has, in the order of `NAMES`, and notes."""
+    missing = _no_forward_dynamics(fit)
     notes = [f"{name} is left out: {reason}" for name, reason in missing.items()]
     if not fit.model.columns:
         missing["effect_columns"] = "the fit has no effects"
-    refused = [name for name in wanted if name in missing]
-    if requested is not None and refused:
-        raise ExportError(f"function {refused[0]}: {missing[refused[0]]}")
-    return [name for name in NAMES if name in wanted and name not in missing], notes
+    return [name for name in NAMES if name not in missing], notes
 
 
 def _no_forward_dynamics(fit: Fit) -> dict[str, str]:
@@ -222,10 +207,7 @@ def _no_forward_dynamics(fit: Fit) -> dict[str, str]:
 def exported_functions(
     fit: Fit, names: Sequence[str], *, payload: bool = False
 ) -> ExportedFunctions:
-    """Return the C of functions (of `select`), and of those that they call.
-
-    With ``payload`` a body at the tool is an argument.
-    """
+    """Return the C of functions; with ``payload`` a body at the tool is an argument."""
     made = export_expressions(fit, payload=payload)
     numbers = {} if made.payload is None else {"payload": each(made.payload, PAYLOAD_TEXT)}
     references = {"dq_r": each(made.dq_r, "dq_r[{j}]"), "ddq_r": each(made.ddq_r, "ddq_r[{j}]")}
@@ -236,21 +218,15 @@ def exported_functions(
         "load": {"load": each(made.load, "load[{j}]")},
         "torque": {"torque": each(made.tau, "torque[{j}]")},
     }
-    advance = None
-    if fit.model.states and any(name in SAMPLE_ARGUMENTS for name in names):
-        advance = _advance(fit, made, numbers)
+    advance = _advance(fit, made, numbers) if fit.model.states else None
     remembers = advance is not None and "before_load" in advance.used
     reads = remembers or (advance is not None and "load" in advance.used)
     bodies = {}
-    for name in NAMES:
-        if name in names or (name == "rigid_torque" and reads):
-            inputs = rigid if name in RIGID_ARGUMENTS else sample | further[SAMPLE_ARGUMENTS[name]]
-            bodies[name] = body(
-                getattr(made, name),
-                inputs,
-                to=_RESULTS.get(name, "matrix"),
-                arguments=_arguments(name, payload),
-            )
+    for name in names:
+        inputs = rigid if name in RIGID_ARGUMENTS else sample | further[SAMPLE_ARGUMENTS[name]]
+        arguments = _arguments(name, payload)
+        to = _RESULTS.get(name, "matrix")
+        bodies[name] = body(getattr(made, name), inputs, to=to, arguments=arguments)
     return ExportedFunctions(bodies, advance, remembers, reads)
 
 

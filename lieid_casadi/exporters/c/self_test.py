@@ -31,34 +31,30 @@ def self_test_content(fit: Fit, names: Collection[str], *, payload: bool) -> dic
     body = np.array(PAYLOAD) if payload else np.zeros(10)
     inputs, width = _motion(fit), np.full(fit.model.n, SMOOTHING)
     machine = _Evaluator(fit, body)
-    rigid = [name for name in RIGID_ARGUMENTS if name in names]
     calls = [name for name in SAMPLE_ARGUMENTS if name in names]
-    results = {name: machine.along(name, inputs) for name in rigid}
-    arrays: dict[str, Array] = {}
-    if calls:
-        inputs["load"] = machine.along("rigid_torque", inputs)
-        signs = {"": np.sign(inputs["dq"]), "_smooth": _smooth(inputs["dq"], width)}
-        for ending, sign in signs.items():
-            signed = machine.with_states(inputs | {"sign": sign})
-            if not ending:
-                inputs["torque"] = signed["torque"] = machine.along("torque", signed)
-            if "states" in signed:
-                results["states" + ending] = signed["states"]
-            for name in calls:
-                results[name + ending] = machine.along(name, signed)
-        arrays = {"smooth_velocity": width}
-        if "forward_dynamics" in calls:
-            arrays["acceleration_scale"] = machine.acceleration_scale(inputs)
+    results = {name: machine.along(name, inputs) for name in RIGID_ARGUMENTS}
+    inputs["load"] = results["rigid_torque"]
+    signs = {"": np.sign(inputs["dq"]), "_smooth": _smooth(inputs["dq"], width)}
+    for ending, sign in signs.items():
+        signed = machine.with_states(inputs | {"sign": sign})
+        if not ending:
+            inputs["torque"] = signed["torque"] = machine.along("torque", signed)
+        if "states" in signed:
+            results["states" + ending] = signed["states"]
+        for name in calls:
+            results[name + ending] = machine.along(name, signed)
+    arrays = {"smooth_velocity": width}
+    if "forward_dynamics" in calls:
+        arrays["acceleration_scale"] = machine.acceleration_scale(inputs)
+    else:
+        del inputs["torque"]
     constants = {
         "link_parameters": fit.link_parameters,
         "base_parameters": fit.values,
         "effect_coefficients": fit.effect_coefficients,
         "shapes": fit.shapes,
     }
-    read = {name for function in rigid for name in RIGID_ARGUMENTS[function]}
-    if calls:
-        read |= {"q", "dq", "ddq", "temperature", "time", *(SAMPLE_ARGUMENTS[c] for c in calls)}
-    arrays |= {f"in_{name}": values for name, values in inputs.items() if name in read}
+    arrays |= {f"in_{name}": values for name, values in inputs.items()}
     arrays |= {f"expected_{name}": values for name, values in results.items()}
     arrays |= {f"stored_{name}": values for name, values in constants.items() if len(values)}
     sizes = {name: values.shape[1] for name, values in results.items()}
@@ -69,11 +65,11 @@ def self_test_content(fit: Fit, names: Collection[str], *, payload: bool) -> dic
         "constants": [(name, len(values)) for name, values in constants.items() if len(values)],
         "tested_payload": body,
         "rigid_calls": [
-            (name, RIGID_ARGUMENTS[name], sizes[name], name not in WITHOUT_NUMBERS)
-            for name in rigid
+            (name, arguments, sizes[name], name not in WITHOUT_NUMBERS)
+            for name, arguments in RIGID_ARGUMENTS.items()
         ],
         "effect_calls": [(name, SAMPLE_ARGUMENTS[name], sizes[name]) for name in calls],
-        "signs": [("", "NULL"), ("_smooth", "smooth_velocity")] if calls else [],
+        "signs": [("", "NULL"), ("_smooth", "smooth_velocity")],
         "reports": [*(["states"] if "states" in results else []), *calls],
     }
 
