@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,7 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording, process
 
 Progress = Callable[[str, float], None]
+T = TypeVar("T")
 
 PROBE_SIZE = 0.5  # of the largest motion within the limits
 HARMONICS = 5
@@ -188,8 +189,10 @@ class MotionDesign:
         before = information(found, [s for r in recordings for s in process(r, found.processing)])
         known, probe = sum(r.duration for r in recordings) * before, float(self.probe.t[-1])
         best, most = None, -np.inf
-        for parts in (p for p in PARTS if p == 1 or self.seconds / p >= LEAST_SECONDS):
-            main, text = self._exciting(self.fit, number, progress, parts=parts)
+        designs = self._of_each_length(
+            lambda seconds: self._exciting(self.fit, number, progress, seconds=seconds)
+        )
+        for main, text in designs:
             rate, seconds = information(found, [main]), float(main.t[-1])
             per_second = precision_gain(known, known + seconds * rate) / (probe + seconds)
             if per_second > most:
@@ -197,13 +200,26 @@ class MotionDesign:
         assert best is not None
         return best
 
+    def _of_each_length(self, design: Callable[[float], T]) -> list[T]:
+        """Return the designs of a long motion and short ones, as far as there are any."""
+        found, reasons = list[T](), list[str]()
+        for seconds in (self.seconds / parts for parts in PARTS):
+            if seconds >= min(LEAST_SECONDS, self.seconds):
+                try:
+                    found.append(design(seconds))
+                except NoSolution as failure:
+                    reasons.append(str(failure))
+        if not found:
+            raise NoSolution(" ".join(dict.fromkeys(reasons)))
+        return found
+
     def _exciting(
-        self, fit: Fit | None, number: int, progress: Progress, *, parts: int = 1
+        self, fit: Fit | None, number: int, progress: Progress, *, seconds: float | None = None
     ) -> tuple[MotionSamples, str]:
         """Return an excitation of all parameters."""
         design = excite(
             self.model if fit is None else fit,
-            duration=self.seconds / parts, harmonics=HARMONICS, starts=EXCITATION_STARTS,
+            duration=seconds or self.seconds, harmonics=HARMONICS, starts=EXCITATION_STARTS,
             seed=self.seed + 10 * number, progress=progress, **self._shared,
         )  # fmt: skip
         return design.motion(), f"Condition number {design.condition_number:.3g}."
@@ -251,13 +267,12 @@ class MotionDesign:
         for chosen in tried:
             known = {label: sizes[label] for group in chosen for label in group if label in sizes}
             try:
-                designs = [
-                    discriminate(
-                        fit, chosen, sizes=known, duration=self.seconds / parts, seed=self.seed,
+                designs = self._of_each_length(
+                    lambda seconds, chosen=chosen, known=known: discriminate(
+                        fit, chosen, sizes=known, duration=seconds, seed=self.seed,
                         starts=STARTS, evaluations=EVALUATIONS, progress=progress, **self._shared,
                     )
-                    for parts in PARTS
-                ]  # fmt: skip
+                )  # fmt: skip
             except (NoSolution, EffectError) as failure:
                 reasons.append(str(failure))
                 continue

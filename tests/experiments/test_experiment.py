@@ -10,7 +10,8 @@ from experiments.arms import QUICK, ROBOT, arm, measured, recorder, sines
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.diagnosis import Difference, Rival
-from lieid_casadi.errors import OutputError, PremiseError, RecordError
+from lieid_casadi.errors import NoSolution, OutputError, PremiseError, RecordError
+from lieid_casadi.experiments import motion
 from lieid_casadi.experiments.motion import MotionDesign
 from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
 from lieid_casadi.report import experiment_report
@@ -186,6 +187,23 @@ def planned(design, purpose, fit, recordings, folder):
     return design.next(
         purpose, folder, fit, recordings, number=1, most=3, progress=lambda stage, done: None
     )
+
+
+def test_one_length_without_a_motion_leaves_the_others(
+    design, ambiguous, given, tmp_path, monkeypatch
+):
+    """A long excitation has no solution within the limits; the short ones have."""
+
+    def short_ones(*arguments, duration, **options):
+        if duration > 10.0:
+            raise NoSolution("no trajectory within all limits was found")
+        return lieid.excite(*arguments, duration=duration, **options)
+
+    monkeypatch.setattr(motion, "excite", short_ones)
+    purpose = Purpose("parameters", (("stribeck:1",),))
+    made = planned(design, purpose, ambiguous.fit, [given], tmp_path)
+    lengths = np.array([17.0 / 2, 17.0 / 3])
+    assert np.isclose(made.duration - made.probe, lengths, atol=0.01).any()
 
 
 def test_a_motion_for_rivals_separates_them(design, ambiguous, given, tmp_path):
