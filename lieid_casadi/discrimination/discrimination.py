@@ -23,32 +23,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class RivalPair:
-    """One effect as the true one, the other as the rival that is fitted instead.
+    """One effect as the true one, the other as the rival that is fitted instead."""
 
-    Attributes
-    ----------
-    true, rival : str
-        Labels.
-    noncentrality : float
-        Of the likelihood ratio for one period: squared residual of the rival's refit relative to
-        the noise.
-    needed : float
-        Noncentrality at which the rival is rejected with the required power.
-    remaining : float
-        Part of the true effect's weighted torque that the refit leaves, 0 to 1.
-    separable : bool
-        False if the rival contains the true effect, so that no motion separates them.
-    residual : (N, n)
-        Torque that the refit leaves along the period, N·m.
-    """
-
-    true: str
+    true: str  # label
     rival: str
-    noncentrality: float
-    needed: float
-    remaining: float
-    separable: bool
-    residual: Array
+    noncentrality: float  # of one period: squared residual of the refit relative to the noise
+    needed: float  # noncentrality at which the rival is rejected with the required power
+    remaining: float  # part of the true effect's weighted torque that the refit leaves, 0 to 1
+    separable: bool  # False if the rival contains the true effect: no motion separates them
+    residual: Array  # (N, n): torque that the refit leaves along the period, N·m
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,13 +89,7 @@ class Discrimination:
         )
 
     def motion(self, *, rate: float | None = None, periods: int = 1) -> MotionSamples:
-        """Return samples of the motion, including the end at rest.
-
-        Parameters
-        ----------
-        rate : float, optional
-            Hz; by default that of the trajectory file.
-        """
+        """Return samples of the motion at a rate in Hz, including the end at rest."""
         duration = self.trajectory.duration
         count = max(round(duration * (rate or self.rate)), 2)
         grid = np.concatenate([period_grid(duration, count) for _ in range(periods)] + [[duration]])
@@ -185,17 +162,8 @@ class Discrimination:
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
         """Write ``trajectory.csv`` (one period), ``discriminate.json``, ``discriminate.png``.
 
-        Parameters
-        ----------
-        folder : str or Path
-            Made if it does not exist; written as a whole or not at all.
-        force : bool
-            Replace what an earlier call wrote into it; other files are kept.
-
-        Raises
-        ------
-        OutputError
-            The folder has other content or cannot be written.
+        The folder is made, and written as a whole or not at all; an `OutputError` refuses one with
+        other content. ``force`` replaces what an earlier call wrote; other files are kept.
         """
         image = io.BytesIO()
         self.plot().savefig(image, format="png", dpi=120)

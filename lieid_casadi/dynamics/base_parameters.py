@@ -25,21 +25,12 @@ SHOWN = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """The minimal parameters β = combination · π of a regressor's columns.
+    """The minimal parameters β = combination · π of a regressor's columns."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Names of all P columns.
-    kept : (p,) int
-        Columns that span the others; scanned first to last, kept if independent.
-    combination : (p, P)
-        β = combination @ π: coefficient 1 on the kept column, the rest on dropped ones. Floats,
-        or floats and polynomials of lengths (`lieid_casadi.dynamics.symbolic_lengths`).
-    """
-
-    names: tuple[str, ...]
-    kept: NDArray[np.intp]
+    names: tuple[str, ...]  # of all P columns
+    kept: NDArray[np.intp]  # (p,): columns that span the others: the first independent ones
+    #: (p, P): coefficient 1 on the kept column, the rest on dropped ones. Floats, or floats and
+    #: polynomials of lengths (`lieid_casadi.dynamics.symbolic_lengths`)
     combination: Matrix
 
     @property
@@ -108,16 +99,10 @@ def base_parameters(
     extra: Sequence[EnergyColumn | None] = (),
     extra_names: Sequence[str] = (),
 ) -> BaseParameters:
-    """Return the base parameters of [Y, further columns].
+    """Return the base parameters of [Y, further columns with names].
 
-    Parameters
-    ----------
-    robot : Robot
-    extra : sequence
-        One entry per column after the 10 n link columns: its `EnergyColumn`, or None for a
-        column that link parameters cannot reproduce.
-    extra_names : sequence of str
-        Their names.
+    ``extra`` has one entry per column after the 10 n link columns: its `EnergyColumn`, or None for
+    a column that link parameters cannot reproduce.
     """
     return reduce(null_space(robot, extra), (*link_parameter_names(robot.n), *extra_names))
 

@@ -1,13 +1,7 @@
 """Optimal excitation: trajectories that identify the parameters best, within stated limits."""
 
 from lieid_casadi.excitation.checks import default_limits
-from lieid_casadi.excitation.clearance import (
-    Obstacle,
-    SelfCollision,
-    Wall,
-    floor,
-    workspace_box,
-)
+from lieid_casadi.excitation.clearance import Obstacle, SelfCollision, Wall, floor, workspace_box
 from lieid_casadi.excitation.criteria import Criterion
 from lieid_casadi.excitation.excite import Excitation, excite
 from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep

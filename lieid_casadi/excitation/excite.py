@@ -382,17 +382,8 @@ class Excitation:
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
         """Write trajectory, JSON, plot and text into a folder; return the files.
 
-        Parameters
-        ----------
-        folder : str or Path
-            Made if it does not exist; written as a whole or not at all.
-        force : bool
-            Replace what an earlier call wrote into it; other files are kept.
-
-        Raises
-        ------
-        OutputError
-            The folder has other content or cannot be written.
+        The folder is made, and written as a whole or not at all; an `OutputError` refuses one with
+        other content. ``force`` replaces what an earlier call wrote; other files are kept.
         """
         content = {"schema": 1} | self.to_dict()
         figure = io.BytesIO()

@@ -101,37 +101,14 @@ def friction_sweep(
     limits: Sequence[Limit] | None = None,
     rate: float = 200.0,
 ) -> FrictionSweep:
-    """Return constant-speed runs of a joint around the start pose.
+    """Return constant-speed runs of a joint (from 0) around the start pose.
 
-    Parameters
-    ----------
-    source : Model, Robot or Fit
-        A fit gives the torque limit its inertias and effects, as for `excite`.
-    joint : int
-        From 0.
-    speeds : (k,)
-        rad/s. Default: the paper's 28 speeds from 0.1 to 30 °/s.
-    seconds : float
-        Longest part at constant speed; slow runs cover a smaller part of the range.
-    start_pose : (n,), optional
-        rad. Default: a pose around which the joint can move as far as the longest run needs or,
-        where there is none, down to a quarter of it.
-    acceleration : float or (n,), optional
-        Limits in place of the robot's, rad/s².
-    margin : float
-        Part of the velocity limits, and of the torque limits by default, that is used.
-    limits : sequence of Limit, optional
-        Limits besides those of the joints, verified along the whole motion. Default: those of
-        `default_limits`.
-    rate : float
-        Of the samples, Hz.
-
-    Raises
-    ------
-    ExcitationError
-        No such joint, a start pose outside the limits.
-    NoSolution
-        The runs violate a limit; names it.
+    ``speeds`` (k,) are in rad/s, by default the paper's 28 from 0.1 to 30 °/s; ``seconds`` is the
+    longest part at constant speed: slow runs cover a smaller part of the range. The default start
+    pose is one around which the joint can move as far as the longest run needs or, where there is
+    none, down to a quarter of it. Other arguments are those of `excite`; samples are at ``rate``
+    in Hz. `ExcitationError`: no such joint, a start pose outside the limits; `NoSolution` names the
+    limit that the runs violate.
     """
     model, fit = model_and_fit(source)
     robot = model.robot

@@ -27,36 +27,18 @@ SMOOTHING = 1e-4  # m/s; √(v² + SMOOTHING²) has a gradient at rest
 
 
 class ConstraintSet(ABC):
-    """Quantities of a motion sample that must stay between limits.
+    """Quantities of a motion sample that must stay between limits."""
 
-    Attributes
-    ----------
-    title : str
-        Of the limit, in the lists of what was checked.
-    labels : tuple of str
-        Name of each quantity in messages.
-    subjects : tuple of str
-        Link, pair or joint that each quantity belongs to; several may belong to one.
-    lower, upper : (k,)
-        Infinite where there is no limit.
-    scale : (k,)
-        Unit in which violations of different quantities are compared.
-    remedy : str
-        What to relax, for messages.
-    left_out : mapping
-        Subject → why it is not checked.
-    """
-
-    title: str = ""
-    labels: tuple[str, ...]
-    subjects: tuple[str, ...] = ()
+    title: str = ""  # of the limit, in the lists of what was checked
+    labels: tuple[str, ...]  # name of each quantity in messages
+    subjects: tuple[str, ...] = ()  # link, pair or joint of each; several may belong to one
     units: tuple[str, ...]
-    lower: Array
-    upper: Array
-    scale: Array
-    remedy: str
-    linear: bool = False
-    left_out: Mapping[str, str] = {}
+    lower: Array  # (k,): infinite where there is no limit
+    upper: Array  # (k,)
+    scale: Array  # (k,): unit in which violations of different quantities are compared
+    remedy: str  # what to relax, for messages
+    linear: bool = False  # in q, dq and ddq
+    left_out: Mapping[str, str] = {}  # subject → why it is not checked
 
     @abstractmethod
     def values(self, motion: MotionSamples) -> Array:

@@ -11,12 +11,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation.criteria import LogDet
-from lieid_casadi.excitation.design import (
-    COARSE,
-    DISTANCE,
-    FINE,
-    ExcitationProblem,
-)
+from lieid_casadi.excitation.design import COARSE, DISTANCE, FINE, ExcitationProblem
 from lieid_casadi.excitation.ipopt import Ipopt, Iterate
 
 Progress = Callable[[str, float], None]

@@ -18,12 +18,7 @@ from lieid_casadi.excitation import default_limits
 from lieid_casadi.excitation.checks import MARGIN
 from lieid_casadi.excitation.limits import Limit
 from lieid_casadi.experiments.folder import STATE, ExperimentFolder, identity_of
-from lieid_casadi.experiments.motion import (
-    LEAST_SECONDS,
-    MotionDesign,
-    PlannedMotion,
-    Progress,
-)
+from lieid_casadi.experiments.motion import LEAST_SECONDS, MotionDesign, PlannedMotion, Progress
 from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
 from lieid_casadi.experiments.record import Recorded, check_premises, doubts
 from lieid_casadi.experiments.result import Experiment, Round

@@ -23,25 +23,16 @@ MOST_RIVALS = 4  # of one effect that a motion separates from it, nearest first
 class Purpose:
     """What a motion is for.
 
-    Attributes
-    ----------
-    kind : str
-        ``excitation`` (all parameters), ``rivals`` (to separate the effects of each group),
-        ``range`` (of ``signals``, where no effect describes the error) or ``parameters`` (of
-        effects with uncertain coefficients, or that parts of the data do not show).
-    groups : tuple of tuple of str
-        Labels of the effects that are open, such as ``stribeck:2``, the one in the model first;
-        with ``range`` such as ``joint 2``.
-    signals : tuple of str
-        With ``range``: such as ``dq2``.
-    why : str
-        One sentence.
+    The kind is ``excitation`` (all parameters), ``rivals`` (to separate the effects of each group),
+    ``range`` (of ``signals``, where no effect describes the error) or ``parameters`` (of effects
+    with uncertain coefficients, or that parts of the data do not show).
     """
 
     kind: Kind
+    #: labels such as ``stribeck:2``, the effect in the model first; with ``range``: ``joint 2``
     groups: tuple[Group, ...] = ()
-    signals: tuple[str, ...] = ()
-    why: str = ""
+    signals: tuple[str, ...] = ()  # with ``range``: such as ``dq2``
+    why: str = ""  # one sentence
 
 
 def purposes(diagnosis: Diagnosis | None, asked: Sequence[Purpose]) -> list[Purpose]:

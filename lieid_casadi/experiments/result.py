@@ -19,48 +19,26 @@ Stopped = Literal["all_named", "most", "not_separable", "record_failed"]
 
 @dataclass(frozen=True)
 class Round:
-    """One recording, and what the diagnosis of all recordings up to it showed.
+    """One recording, and what the diagnosis of all recordings up to it showed."""
 
-    Attributes
-    ----------
-    number : int
-        From 1; 0 for the recordings that were given, which have no purpose and no files.
-    promise : str
-        What the design predicted.
-    seconds, starts : float
-        Length of the motion, and when it starts in the recording, s.
-    trajectory, recording : str or None
-        Files, relative to the folder.
-    open : tuple of tuple of str
-        Effects of each step that is not named, with those that would do as well.
-    error, first_error, noise_floor : tuple of float
-        Held-out RMS error in motion of the final and of the first model, and noise, N·m.
-    unseen : tuple of float
-        RMS error in motion of the previous fit on this recording, N·m.
-    warnings : tuple of str
-        Doubts about the recording: premises, deviations from the trajectory, repeatability.
-    checked, unchecked : tuple of str
-        Limits that the motion was verified to keep, and limits that it was not.
-    """
-
-    number: int
+    number: int  # from 1; 0 for the recordings that were given, without purpose and files
     purpose: Purpose | None
-    promise: str
-    seconds: float
-    trajectory: str | None
+    promise: str  # what the design predicted
+    seconds: float  # length of the motion, s
+    trajectory: str | None  # file, relative to the folder
     recording: str | None
     verdict: str = ""
-    open: tuple[Group, ...] = ()
+    open: tuple[Group, ...] = ()  # effects of each step not named, with those as good
     named: tuple[str, ...] = ()
     sentences: tuple[str, ...] = ()
-    error: tuple[float, ...] = ()
-    first_error: tuple[float, ...] = ()
+    error: tuple[float, ...] = ()  # held-out RMS error in motion of the final model, N·m
+    first_error: tuple[float, ...] = ()  # the same of the first model
     noise_floor: tuple[float, ...] = ()
-    starts: float = 0.0
-    unseen: tuple[float, ...] = ()
-    warnings: tuple[str, ...] = ()
-    checked: tuple[str, ...] = ()
-    unchecked: tuple[str, ...] = ()
+    starts: float = 0.0  # when the motion starts in the recording, s
+    unseen: tuple[float, ...] = ()  # RMS error in motion of the previous fit here, N·m
+    warnings: tuple[str, ...] = ()  # premises, deviations from the trajectory, repeatability
+    checked: tuple[str, ...] = ()  # limits that the motion was verified to keep
+    unchecked: tuple[str, ...] = ()  # limits that it was not
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,21 +32,8 @@ def model_weights(
     Pseudo-Bayesian model averaging with the Bayesian bootstrap (Yao, Vehtari, Simpson, Gelman,
     Bayesian Analysis 2018): each block of 2 s has the likelihood of normal residuals, whose number
     is that of the independent ones; the blocks are weighted at random, so that models which a few
-    blocks alone separate keep similar weights. Rows at rest do not count.
-
-    Parameters
-    ----------
-    fits : sequence of Fit
-        Of one robot.
-    recordings : Recording or sequence of Recording
-        That none of the fits was trained on, with torque.
-    seed : int
-        Of the random weights.
-
-    Raises
-    ------
-    IdentificationError
-        Recordings shorter than five blocks of motion, or none of them moves.
+    blocks alone separate keep similar weights. Rows at rest do not count. None of the fits was
+    trained on the recordings; an `IdentificationError` refuses less than five blocks of motion.
     """
     squares, counts = _block_squares(fits, recordings)
     if counts.shape[0] < FEWEST_BLOCKS:
@@ -91,23 +78,14 @@ def _block_squares(
 class EnsembleCoverage:
     """How much of the measured torque of recordings the bands of an ensemble contain.
 
-    Attributes
-    ----------
-    level : float
-        Probability that the bands are made for: mean ± the normal quantile, by the variance of the
-        draws and that of the residual of the training, but no less than its held-out error.
-    share : (n,)
-        Part of the rows in motion that they contain, NaN for a joint that never moves.
-    spread : (n,)
-        Standard deviation of the draws' torque, N·m: the uncertainty of the parameters alone.
-    error : (n,)
-        RMS error of the mean of the draws, N·m.
+    Bands are the mean ± the normal quantile, by the variance of the draws and that of the residual
+    of the training, but no less than its held-out error.
     """
 
-    level: float
-    share: Array
-    spread: Array
-    error: Array
+    level: float  # probability that the bands are made for
+    share: Array  # (n,): of the rows in motion that they contain, NaN for a joint that never moves
+    spread: Array  # (n,): standard deviation of the draws' torque, N·m: of the parameters alone
+    error: Array  # (n,): RMS error of the mean of the draws, N·m
 
     @property
     def too_narrow(self) -> Array:
@@ -141,16 +119,9 @@ class EnsembleCoverage:
 def ensemble_coverage(
     samples: Sequence[Fit], recordings: Recording | Sequence[Recording], *, level: float = 0.9
 ) -> EnsembleCoverage:
-    """Return how much of the measured torque of recordings the bands of samples contain.
+    """Return how much of the torque of recordings the bands of samples (`Fit.sample`) contain.
 
-    Parameters
-    ----------
-    samples : sequence of Fit
-        As `Fit.sample` returns them.
-    recordings : Recording or sequence of Recording
-        That were not used for training, with torque.
-    level : float
-        Probability, between 0 and 1.
+    The recordings were not used for training; ``level`` is a probability.
     """
     quantile = norm.ppf(0.5 + 0.5 * level)
     inside, variances, errors, moves = [], [], [], []

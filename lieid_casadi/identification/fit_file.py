@@ -21,13 +21,7 @@ from msgspec import Meta, Struct
 import lieid_casadi.errors as errors
 from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import require_regular
-from lieid_casadi.errors import (
-    EffectError,
-    FitFileError,
-    LieidError,
-    LieidWarning,
-    warning_list,
-)
+from lieid_casadi.errors import EffectError, FitFileError, LieidError, LieidWarning, warning_list
 from lieid_casadi.identification.feasible.certificate import Certificate
 from lieid_casadi.identification.recording_checks import Provenance
 from lieid_casadi.identification.regression.least_squares import Conditioning

@@ -17,35 +17,18 @@ from lieid_casadi.identification import fit_warnings
 from lieid_casadi.identification.feasible.feasible_fit import certify, make_feasible, mass_warnings
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import center_temperature, training_rms
-from lieid_casadi.identification.recording_checks import (
-    Provenance,
-    Source,
-    check_recordings,
-)
+from lieid_casadi.identification.recording_checks import Provenance, Source, check_recordings
 from lieid_casadi.identification.regression.cross_validation import (
     Estimate,
     cross_validated_rms,
     fold_factors,
 )
-from lieid_casadi.identification.regression.design_matrix import (
-    Design,
-    FilteredColumns,
-)
-from lieid_casadi.identification.regression.fixed_point import (
-    Progress,
-    fixed_point,
-)
-from lieid_casadi.identification.regression.least_squares import (
-    conditioning,
-    solve,
-    stacked,
-)
+from lieid_casadi.identification.regression.design_matrix import Design, FilteredColumns
+from lieid_casadi.identification.regression.fixed_point import Progress, fixed_point
+from lieid_casadi.identification.regression.least_squares import conditioning, solve, stacked
 from lieid_casadi.identification.uncertainty.covariance import fit_covariance
 from lieid_casadi.identification.uncertainty.noise_model import Noise, residual_noise
-from lieid_casadi.identification.uncertainty.shape_intervals import (
-    open_intervals,
-    shape_intervals,
-)
+from lieid_casadi.identification.uncertainty.shape_intervals import open_intervals, shape_intervals
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.recording.conversion import is_torque_of_laws

@@ -20,40 +20,22 @@ ROUNDING = 1e-8  # of the largest friction: the solver's tolerance
 class Certificate:
     """Checks of identified parameters, independent of the solver.
 
-    Attributes
-    ----------
-    regularization : float
-        Weight λ of the divergence from the reference bodies.
-    regularization_source : str
-        ``cross-validation`` or ``given``.
-    pseudo_inertia_eigenvalue : (n,)
-        Smallest eigenvalue of each link's pseudo-inertia (kg·m², kg·m and kg mixed).
-    mass_matrix_eigenvalue : float
-        Smallest eigenvalue of the rigid mass matrix M(q), without armature, over the poses.
-    poses : int
-        Number of random poses within the joint limits.
-    least_dissipation : float
-        Smallest sgn(q̇)·τ_f on the grid of speeds, N·m; infinite without friction.
-    divergence : (n,)
-        Entropic divergence of each link from its reference body; 0 if they are equal.
-    rms, rms_wls : (n,)
-        Training error of these parameters and of weighted least squares, N·m.
-    gravity, stated_gravity : (n,) or None
-        RMS of the gravity load in the recordings, of these parameters and of the stated inertias,
-        N·m; None in older files, and without stated inertias.
+    ``rms`` and ``rms_wls`` are the training errors of these parameters and of weighted least
+    squares; ``gravity`` and ``stated_gravity`` the RMS of the gravity load in the recordings, of
+    these parameters and of the stated inertias, N·m; None in older files, or without inertias.
     """
 
-    regularization: float
-    regularization_source: str
-    pseudo_inertia_eigenvalue: Array
-    mass_matrix_eigenvalue: float
-    poses: int
-    least_dissipation: float
-    divergence: Array
-    rms: Array
-    rms_wls: Array
-    gravity: Array | None = None
-    stated_gravity: Array | None = None
+    regularization: float  # weight λ of the divergence from the reference bodies
+    regularization_source: str  # ``cross-validation`` or ``given``
+    pseudo_inertia_eigenvalue: Array  # (n,): smallest of each link (kg·m², kg·m and kg mixed)
+    mass_matrix_eigenvalue: float  # smallest of the rigid M(q), without armature, over the poses
+    poses: int  # random ones within the joint limits
+    least_dissipation: float  # smallest sgn(q̇)·τ_f on a grid, N·m; infinite without friction
+    divergence: Array  # (n,): entropic, of each link from its reference body; 0 if they are equal
+    rms: Array  # (n,): N·m
+    rms_wls: Array  # (n,): N·m
+    gravity: Array | None = None  # (n,): N·m
+    stated_gravity: Array | None = None  # (n,): N·m
 
     @property
     def holds(self) -> bool:

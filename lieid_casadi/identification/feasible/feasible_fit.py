@@ -36,10 +36,7 @@ from lieid_casadi.identification.regression.design_matrix import (
     with_priors,
 )
 from lieid_casadi.identification.regression.fixed_point import FitState, has_settled
-from lieid_casadi.identification.regression.least_squares import (
-    Factor,
-    stacked,
-)
+from lieid_casadi.identification.regression.least_squares import Factor, stacked
 from lieid_casadi.recording import Processed
 from lieid_casadi.robot import Robot
 

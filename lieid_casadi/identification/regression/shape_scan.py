@@ -34,10 +34,7 @@ from lieid_casadi.identification.regression.least_squares import (
     joint_factors,
     unit_columns,
 )
-from lieid_casadi.identification.regression.segment_columns import (
-    effect_signals,
-    model_along,
-)
+from lieid_casadi.identification.regression.segment_columns import effect_signals, model_along
 from lieid_casadi.identification.regression.variable_projection import ShapeRange
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed

@@ -31,12 +31,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from lieid_casadi.arrays import Array
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
-from lieid_casadi.identification.regression.least_squares import (
-    JointRows,
-    Rows,
-    solve,
-    stacked,
-)
+from lieid_casadi.identification.regression.least_squares import JointRows, Rows, solve, stacked
 from lieid_casadi.identification.regression.variable_projection import shape_columns
 
 QUIET = 5  # consecutive lags without significant correlation that end the correlation

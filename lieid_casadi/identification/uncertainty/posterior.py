@@ -26,10 +26,7 @@ from lieid_casadi.identification.feasible.certificate import (
     pseudo_inertia_eigenvalues,
 )
 from lieid_casadi.identification.feasible.dissipation import dissipation_rows
-from lieid_casadi.identification.feasible.problem import (
-    ConvexSolver,
-    FeasibleProblem,
-)
+from lieid_casadi.identification.feasible.problem import ConvexSolver, FeasibleProblem
 from lieid_casadi.identification.regression.least_squares import Factor
 from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axes
 from lieid_casadi.robot.inertia import pseudo_inertia

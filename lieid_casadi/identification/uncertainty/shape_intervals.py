@@ -23,10 +23,7 @@ from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import Rows, combine, joint_factors, solve
 from lieid_casadi.identification.regression.shape_scan import ShapeScan, WeightedProjection
-from lieid_casadi.identification.regression.variable_projection import (
-    resolved_range,
-    shape_columns,
-)
+from lieid_casadi.identification.regression.variable_projection import resolved_range, shape_columns
 from lieid_casadi.identification.uncertainty.covariance import (
     residual_correlation_length,
     with_columns,
