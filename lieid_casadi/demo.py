@@ -94,7 +94,7 @@ class _Commanded:
         return self.excitation.duration
 
     def at(self, t: Array) -> tuple[Array, Array, Array]:
-        motion = self.excitation.at(t)
+        motion = self.excitation.trajectory.at(t)
         return motion.q, motion.dq, motion.ddq
 
 

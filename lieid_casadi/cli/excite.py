@@ -31,10 +31,9 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --friction-sweep JOINT …: int  write runs of these joints at constant speeds instead
     @JSON @THREADS
     == motion
-    --duration S: number = 20  duration of one period, s
+    --duration S: number = 20  duration, s
     --harmonics N: int = 5  harmonics of each joint
-    --periods N: int = 1  number of periods
-    --samples N: int = 100  samples of one period in the criterion
+    --samples N: int = 100  samples in the criterion
     --rate HZ: number = 1000  sampling rate of the files, Hz
     --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
         within all limits
@@ -57,7 +56,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
             criterion=args.criterion, inertial_only=args.inertial_only,
             limits=limits, start_pose=args.start_pose or None,
             acceleration=args.acceleration or None, margin=args.margin,
-            duration=args.duration, harmonics=args.harmonics, periods=args.periods,
+            duration=args.duration, harmonics=args.harmonics,
             samples=args.samples, rate=args.rate,
             starts=args.starts, seed=args.seed, max_iterations=args.max_iterations,
             progress=report,

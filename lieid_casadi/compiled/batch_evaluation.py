@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -266,24 +266,13 @@ class BaseBlocks:
 
     Each joint has only its structurally nonzero columns, so that joint i's block has no zeros of
     the links before it: ``columns[i]`` (p_i,) says which, ``starts`` (n + 1,) where its values
-    begin among those of one sample. Iterate, or call `evaluate` from several threads with a buffer
-    each.
-
-    Examples
-    --------
-    >>> import lieid_casadi as lieid, numpy as np
-    >>> arm = lieid.compile(lieid.Model(lieid.robots.two_link(), effects=["viscous"]))
-    >>> q = np.zeros((1000, 2))
-    >>> blocks = arm.base_blocks(q, q, q, size=400)
-    >>> [(part.start, part.stop, joints[1].shape) for part, joints in blocks]
-    [(0, 400, (4, 400)), (400, 800, (4, 400)), (800, 1000, (4, 200))]
+    begin among those of one sample. Several threads may call `evaluate`, with a buffer each.
     """
 
     def __init__(
         self,
         evaluation: Evaluation,
         values: Mapping[str, Array],
-        samples: int,
         size: int | None = None,
     ) -> None:
         layout = evaluation.layout
@@ -294,7 +283,6 @@ class BaseBlocks:
             layout.columns[first:last]
             for first, last in zip(self._starts[:-1], self._starts[1:], strict=True)
         )
-        self.samples = samples
         self.size = size or max(64, BUFFER_BYTES // (8 * max(layout.count, 1)) // 64 * 64)
 
     def buffer(self) -> Array:
@@ -313,12 +301,6 @@ class BaseBlocks:
         self._bound.columns(first, last, buffer)
         ends = zip(self._starts[:-1], self._starts[1:], strict=True)
         return tuple(buffer[start:end, : last - first] for start, end in ends)
-
-    def __iter__(self) -> Iterator[tuple[slice, tuple[Array, ...]]]:
-        buffer = self.buffer()
-        for first in range(0, self.samples, self.size):
-            last = min(first + self.size, self.samples)
-            yield slice(first, last), self.evaluate(first, last, buffer)
 
 
 BEFORE = "before_"  # prefix of arguments that belong to the sample before

@@ -25,10 +25,7 @@ from lieid_casadi.model import Model, as_model
 from lieid_casadi.robot import Robot
 
 # Functions that consist of several parts side by side; the others are one part of the same name.
-_PARTS = {
-    "base_regressor": ("base_regressor", "base_effects"),
-    "rigid_base_regressor": ("base_regressor",),
-}
+_PARTS = {"base_regressor": ("base_regressor", "base_effects")}
 _VECTORS = ("inverse_dynamics", "gravity", "effect_torque")
 _FLOAT = np.dtype(np.float64)
 
@@ -187,12 +184,6 @@ class Compiled:
         """Return Y_b (N, n, p): the kept columns of [Y, effect columns]."""
         return self._evaluate("base_regressor", self._signals(q, dq, ddq, given, False), given)
 
-    def rigid_base_regressor(
-        self, q: ArrayLike, dq: ArrayLike, ddq: ArrayLike, **call: Unpack[Call]
-    ) -> Array:
-        """Return Y_b (N, n, p) with zeros in the columns of effects."""
-        return self._evaluate("rigid_base_regressor", self._samples(q=q, dq=dq, ddq=ddq), call)
-
     def base_blocks(
         self,
         q: ArrayLike,
@@ -204,7 +195,7 @@ class Compiled:
     ) -> BaseBlocks:
         """See `base_regressor`; in blocks of ``size`` samples, by default fitting in cache."""
         values = self._signals(q, dq, ddq, signals, True)
-        return BaseBlocks(self._evaluation("base_regressor"), values, len(values["q"]), size)
+        return BaseBlocks(self._evaluation("base_regressor"), values, size)
 
     def effect_columns(
         self,
@@ -320,8 +311,7 @@ class Compiled:
         n = self.n
         if name in _PARTS:
             kept = self.model.base.kept
-            starts = (0, int(np.sum(kept < 10 * n)))
-            return starts[: len(_PARTS[name])], (n, len(kept))
+            return (0, int(np.sum(kept < 10 * n))), (n, len(kept))
         shapes = {
             "regressor": (n, 10 * n), "effect_columns": (n, len(self.model.columns)),
             "mass_matrix": (n, n), "jacobian": (6, n),

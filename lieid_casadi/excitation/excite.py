@@ -63,7 +63,6 @@ def excite(
     margin: float = MARGIN,
     duration: float = 20.0,
     harmonics: int = 5,
-    periods: int = 1,
     samples: int = 100,
     rate: float = 1000.0,
     starts: int = 4,
@@ -113,8 +112,6 @@ def excite(
         Length of one period, s.
     harmonics : int
         Of the period's frequency, in the Fourier series (Eq. 19).
-    periods : int
-        How often the period is repeated.
     samples : int
         Of the criterion over a period; limits are verified on a grid 20 times finer, and at 1 kHz.
     rate : float
@@ -148,10 +145,7 @@ def excite(
     """
     began = time.monotonic()
     model = model_and_fit(source)[0]
-    _check(
-        rate=rate, duration=duration, seed=seed, periods=periods, starts=starts,
-        max_iterations=max_iterations,
-    )  # fmt: skip
+    _check(rate, duration, seed, starts=starts, max_iterations=max_iterations)
     progress("compiling", 0.0)
     problem = ExcitationProblem(
         source, basis=Fourier(harmonics, duration), criterion=criterion,
@@ -167,7 +161,7 @@ def excite(
     verified = verify(model.robot, motion, problem.range, problem.limits, problem.fit)
     excesses = problem.excesses(z)
     return Excitation(
-        model=problem.model, trajectory=trajectory, periods=periods, rest_pose=problem.pose,
+        model=problem.model, trajectory=trajectory, rest_pose=problem.pose,
         rate=rate, samples=samples, criterion=criterion_name(criterion),
         quality=quality(
             problem.model, trajectory.at(period_grid(trajectory.duration, samples)), problem.fit
@@ -181,7 +175,7 @@ def excite(
     )  # fmt: skip
 
 
-def _check(*, rate: float, duration: float, seed: int, **counts: int | None) -> None:
+def _check(rate: float, duration: float, seed: int, **counts: int | None) -> None:
     """Refuse counts below 1, and a rate at which the trajectory file would be too long."""
     for name, count in counts.items():
         if count is not None and count < 1:
@@ -190,11 +184,10 @@ def _check(*, rate: float, duration: float, seed: int, **counts: int | None) -> 
         raise ExcitationError(f"seed: {seed}; expected 0 or a positive integer")
     if not rate > 0.0:
         raise ExcitationError(f"rate: {rate:g} Hz; expected a positive number")
-    periods = counts["periods"] or 1
-    if rate * duration * periods > MOST_ROWS:
+    if rate * duration > MOST_ROWS:
         raise ExcitationError(
-            f"rate: {rate:g} Hz gives {rate * duration * periods:.3g} rows in {periods} periods of "
-            f"{duration:g} s; expected at most {MOST_ROWS}: lower the rate or the number of periods"
+            f"rate: {rate:g} Hz gives {rate * duration:.3g} rows in {duration:g} s; expected at "
+            f"most {MOST_ROWS}: lower the rate"
         )
 
 
@@ -214,8 +207,7 @@ class Excitation:
     Attributes
     ----------
     trajectory : Trajectory
-        One period.
-    periods : int
+        Periodic: a robot may repeat it.
     rest_pose : (n,)
         Pose at which the whole motion begins and ends, rad.
     rate : float
@@ -242,7 +234,6 @@ class Excitation:
 
     model: Model
     trajectory: Trajectory
-    periods: int
     rest_pose: Array
     rate: float
     samples: int
@@ -269,22 +260,14 @@ class Excitation:
 
     @property
     def duration(self) -> float:
-        """Length of the whole motion, s."""
-        return self.periods * self.trajectory.duration
+        """Length of the motion, s."""
+        return self.trajectory.duration
 
     def motion(self, rate: float | None = None) -> MotionSamples:
-        """Return samples of the whole motion at a rate in Hz."""
+        """Return samples of the motion at a rate in Hz."""
         step = 1.0 / (self.rate if rate is None else rate)
         count = int(np.floor(self.duration / step + 1e-9)) + 1
-        return self.at(step * np.arange(count, dtype=np.float64))
-
-    def at(self, t: Array) -> MotionSamples:
-        """Return the whole motion at times (N,) from 0 to ``duration``, s."""
-        time = np.asarray(t, dtype=float)
-        period = self.trajectory.duration
-        phase = time - period * np.floor(np.minimum(time / period, self.periods - 1e-12))
-        motion = self.trajectory.at(phase)
-        return MotionSamples(time, motion.q, motion.dq, motion.ddq)
+        return self.trajectory.at(step * np.arange(count, dtype=np.float64))
 
     @property
     def coefficients(self) -> dict[str, Any]:
@@ -319,7 +302,6 @@ class Excitation:
             "start": 0.0,
             "end": self.duration,
             "duration": self.duration,
-            "periods": self.periods,
             "samples": self.samples,
             "rate": self.rate,
             "rest_pose": self.rest_pose.tolist(),
@@ -347,8 +329,7 @@ class Excitation:
         q = self.quality
         effects = ", ".join(self.model.effects) or "no effects"
         lines = [
-            f"Excitation of {self.model.robot.name}: {self.duration:.4g} s "
-            f"({self.periods} × {self.trajectory.duration:.4g} s).",
+            f"Excitation of {self.model.robot.name}: {self.duration:.4g} s.",
             f"Condition number {self.condition_number:.4g} (σ₁ {q.singular_values[0]:.4g}, "
             f"σ_r {q.singular_values[q.rank - 1]:.4g} of the full regressor at {self.samples} "
             f"samples, SI, {effects}); −log det {self.neg_log_det:.4g} for {q.rank} base "
@@ -368,7 +349,7 @@ class Excitation:
 
         if ax is None:
             ax = Figure(figsize=(9.0, 5.0), layout="constrained").subplots()
-        motion = self.at(np.linspace(0.0, self.duration, PLOTTED))
+        motion = self.trajectory.at(np.linspace(0.0, self.duration, PLOTTED))
         plot_positions(motion, self.model.robot, ax)
         ax.set_title(
             f"{self.model.robot.name}: condition number {self.condition_number:.4g}, "

@@ -72,7 +72,9 @@ def check_gravity(fit: Fit) -> None:
     """
     robot, n = fit.model.robot, fit.model.n
     q = np.random.default_rng(0).uniform(*position_range(robot), (POSES, n))
-    columns = fit.compiled.rigid_base_regressor(q, 0.0 * q, 0.0 * q)
+    rigid = fit.model.base.kept[fit.model.base.kept < 10 * n]
+    columns = np.zeros((POSES, n, len(fit.values)))
+    columns[:, :, : len(rigid)] = fit.compiled.regressor(q, 0.0 * q, 0.0 * q)[:, :, rigid]
     load = np.sqrt(np.mean((columns @ fit.values) ** 2, axis=0))
     p = len(fit.values)
     unit, variances, axes = scaled_axes(np.nan_to_num(fit.covariance[:p, :p]))

@@ -51,7 +51,6 @@ def calls(model, samples=21, seed=0):
     return {
         "regressor": (motion, {}),
         "base_regressor": (motion, signals),
-        "rigid_base_regressor": (motion, {}),
         "effect_columns": (motion, signals),
         "inverse_dynamics": ((*motion, links), {}),
         "effect_torque": ((*motion, strength), signals),

@@ -41,9 +41,9 @@ def test_condition_number_and_torque_match_pinocchio():
 
 
 def test_the_file_begins_and_ends_at_rest_at_the_rest_pose():
-    """Position, velocity and acceleration are continuous, from period to period, too."""
+    """Position, velocity and acceleration are continuous."""
     found = excite(
-        lieid.Model(lieid.robots.two_link()), duration=6.0, periods=2, starts=1, rate=500.0,
+        lieid.Model(lieid.robots.two_link()), duration=6.0, starts=1, rate=500.0,
         start_pose=[0.3, -0.4], limits=(), max_iterations=20,
     )  # fmt: skip
     motion = found.motion()
