@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -189,9 +190,7 @@ class MotionDesign:
         before = information(found, [s for r in recordings for s in process(r, found.processing)])
         known, probe = sum(r.duration for r in recordings) * before, float(self.probe.t[-1])
         best, most = None, -np.inf
-        designs = self._of_each_length(
-            lambda seconds: self._exciting(self.fit, number, progress, seconds=seconds)
-        )
+        designs = self._of_each_length(partial(self._exciting, self.fit, number, progress))
         for main, text in designs:
             rate, seconds = information(found, [main]), float(main.t[-1])
             per_second = precision_gain(known, known + seconds * rate) / (probe + seconds)
@@ -200,13 +199,13 @@ class MotionDesign:
         assert best is not None
         return best
 
-    def _of_each_length(self, design: Callable[[float], T]) -> list[T]:
+    def _of_each_length(self, design: Callable[..., T]) -> list[T]:
         """Return the designs of a long motion and short ones, as far as there are any."""
         found, reasons = list[T](), list[str]()
         for seconds in (self.seconds / parts for parts in PARTS):
             if seconds >= min(LEAST_SECONDS, self.seconds):
                 try:
-                    found.append(design(seconds))
+                    found.append(design(duration=seconds))
                 except NoSolution as failure:
                     reasons.append(str(failure))
         if not found:
@@ -214,12 +213,12 @@ class MotionDesign:
         return found
 
     def _exciting(
-        self, fit: Fit | None, number: int, progress: Progress, *, seconds: float | None = None
+        self, fit: Fit | None, number: int, progress: Progress, *, duration: float | None = None
     ) -> tuple[MotionSamples, str]:
         """Return an excitation of all parameters."""
         design = excite(
             self.model if fit is None else fit,
-            duration=seconds or self.seconds, harmonics=HARMONICS, starts=EXCITATION_STARTS,
+            duration=duration or self.seconds, harmonics=HARMONICS, starts=EXCITATION_STARTS,
             seed=self.seed + 10 * number, progress=progress, **self._shared,
         )  # fmt: skip
         return design.motion(), f"Condition number {design.condition_number:.3g}."
@@ -267,12 +266,11 @@ class MotionDesign:
         for chosen in tried:
             known = {label: sizes[label] for group in chosen for label in group if label in sizes}
             try:
-                designs = self._of_each_length(
-                    lambda seconds, chosen=chosen, known=known: discriminate(
-                        fit, chosen, sizes=known, duration=seconds, seed=self.seed,
-                        starts=STARTS, evaluations=EVALUATIONS, progress=progress, **self._shared,
-                    )
+                separating = partial(
+                    discriminate, fit, chosen, sizes=known, seed=self.seed, starts=STARTS,
+                    evaluations=EVALUATIONS, progress=progress, **self._shared,
                 )  # fmt: skip
+                designs = self._of_each_length(separating)
             except (NoSolution, EffectError) as failure:
                 reasons.append(str(failure))
                 continue
