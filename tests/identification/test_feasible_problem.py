@@ -106,6 +106,20 @@ def test_coupled_joints_dissipate_together():
     assert (rows @ [1.0, 1.0, 0.0, 0.5]).min() < 0.0
 
 
+def test_coupled_joints_of_a_whole_arm_are_examined_on_a_part_of_their_motions():
+    robot = lieid.robots.panda()
+    couplings = [f"transmission_coupling:{j + 2}<{j + 1}" for j in range(robot.n - 1)]
+    model = lieid.Model(robot, ["viscous", "load_friction", "torque_ripple:4", *couplings])
+    rows = friction_rows(model, velocity=1.0, load=1.0)
+    values = np.array([float(c.label.startswith("viscous")) for c in model.columns])
+    assert (rows @ values).min() > 0.0
+    for j in range(robot.n):  # friction that drives one joint alone, and no other
+        (column,) = (k for k, c in enumerate(model.columns) if c.label == f"viscous.f_v:{j + 1}")
+        driving = values.copy()
+        driving[column] = -1e-3
+        assert (rows @ driving).min() < 0.0
+
+
 def test_friction_with_load_and_states_reaches_full_sliding():
     model = lieid.Model(lieid.robots.two_link(), "presliding/load:1,viscous:1")
     rows = friction_rows(model, velocity=2.0, load=10.0)

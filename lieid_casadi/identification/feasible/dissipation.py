@@ -17,6 +17,7 @@ SPEEDS = np.array([1e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, *np.linspace(0.1, 1.0, 19
 COUPLED_SPEEDS = np.array([-1.0, -0.5, -0.1, -0.01, 0.0, 0.01, 0.1, 0.5, 1.0])
 LEVELS = np.array([0.0, 0.5, -0.5, 1.0, -1.0])  # of the largest load or temperature deviation
 POSITIONS = 24  # on a grid, for friction that depends on the position
+MOST = 20_000  # motions of a group of joints
 LATE = 1e6  # s, after warm-up
 FAR = 100.0  # turns and seconds between samples: friction with states reaches full sliding
 
@@ -54,10 +55,12 @@ def dissipation_rows(
     model = compiled.model
     friction = friction_columns(model)
     rows = [np.zeros((0, len(friction)))]
-    for group in coupled_joints(model):
-        speeds = _speeds(group, model.n) * velocity
+    groups = coupled_joints(model)
+    # of the motions of many joints a part is drawn, which hardly contains those of one alone
+    alone = [[j] for group in groups if len(group) > 2 for j in group]
+    for group in groups + alone:
         columns, speeds = _columns(
-            compiled, group, speeds, shapes, load, temperature, (lower, upper)
+            compiled, group, velocity, shapes, load, temperature, (lower, upper)
         )
         power = np.einsum("gi,gik->gk", speeds[:, group], columns[:, group])
         rows.append(power / np.linalg.norm(speeds[:, group], axis=1)[:, None])
@@ -87,29 +90,27 @@ def largest_speed(model: Model, segments: Sequence[Processed]) -> Array:
     return np.asarray(np.fmax(model.robot.limit("velocity"), recorded))
 
 
-def _speeds(group: list[int], n: int) -> Array:
-    """Return speeds (G, n) as fractions of the largest; other joints are at rest."""
-    if len(group) == 1:
-        alone = np.concatenate([SPEEDS, -SPEEDS])[:, None]
-    else:
-        grids = np.meshgrid(*[COUPLED_SPEEDS] * len(group), indexing="ij")
-        alone = np.stack([grid.ravel() for grid in grids], axis=1)
-        alone = alone[np.any(alone != 0.0, axis=1)]
-    speeds = np.zeros((len(alone), n))
-    speeds[:, group] = alone
-    return speeds
+def _grid(axes: Sequence[Array]) -> list[Array]:
+    """Return all combinations of values, an array (G,) for each axis.
+
+    Of more than `MOST` combinations a part that is drawn at random, the same at each call.
+    """
+    if np.prod([float(len(axis)) for axis in axes]) <= MOST:
+        return [grid.ravel() for grid in np.meshgrid(*axes, indexing="ij")]
+    random = np.random.default_rng(0)
+    return [random.choice(axis, MOST) for axis in axes]
 
 
 def _columns(
     compiled: Compiled,
     group: list[int],
-    speeds: Array,
+    velocity: Array,
     shapes: Array,
     load: Array,
     temperature: Array,
     positions: tuple[Array, Array],
 ) -> tuple[Array, Array]:
-    """Return columns (G', n, m) and speeds (G', n) at all levels of load, temperature and q."""
+    """Return columns (G, n, m) and speeds (G, n) at all levels of load, temperature and q."""
     model = compiled.model
     here = [p for p in model.placements if p.joint in group]
     needs = {signal for p in here for signal in p.effect.signals}
@@ -118,11 +119,14 @@ def _columns(
     where = np.linspace(0.0, 1.0, POSITIONS) if "q" in needs else np.array([0.5])
     memory = any(p.effect.states for p in here)
     when = np.array([0.0, LATE]) if "time" in needs and not memory else np.zeros(1)
-    k, a, b, c, time = (
-        x.ravel()
-        for x in np.meshgrid(np.arange(len(speeds)), loads, warm, where, when, indexing="ij")
-    )
-    dq, (low, high) = speeds[k], positions
+    single = np.concatenate([SPEEDS, -SPEEDS])
+    each = [single] if len(group) == 1 else [COUPLED_SPEEDS] * len(group)
+    *parts, a, b, c, time = _grid([*each, loads, warm, where, when])
+    dq = np.zeros((len(time), model.n))
+    dq[:, group] = np.column_stack(parts)
+    moving = dq.any(axis=1)
+    dq, a, b, c, time = dq[moving] * velocity, a[moving], b[moving], c[moving], time[moving]
+    low, high = positions
     q = low + c[:, None] * (high - low)
     if memory:  # one long motion; its first sample, before any sliding, is left out
         dq, q, a, b, time = (np.concatenate([x[:1], x]) for x in (dq, q, a, b, time))
