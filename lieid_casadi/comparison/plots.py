@@ -1,9 +1,10 @@
-"""Plots of a comparison: torque over time, and the error over the signals that it may depend on."""
+"""Plots of errors: over time, over the signals that they may depend on, of successive models."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,7 @@ PER_INTERVAL = 40  # samples, if that gives more than the fewest intervals
 FEWEST_SAMPLES = 5  # of an interval with a mean
 FEW_POINTS = 600  # up to this number, points are drawn larger
 SHOWN = 99.5  # per cent of the errors that are inside the axes
+LABEL_WIDTH = 30  # characters of a line of the legend
 DIRECTIONS = ((1.0, plot_style.FORWARD), (-1.0, plot_style.BACKWARD), (0.0, plot_style.REST))
 
 
@@ -194,3 +196,43 @@ def binned_mean(x: Array, y: Array, edges: Array) -> tuple[Array, Array]:
     total, _ = np.histogram(x, edges, weights=y)
     mean = np.where(count >= FEWEST_SAMPLES, total / np.maximum(count, 1), np.nan)
     return (edges[1:] + edges[:-1]) / 2.0, mean
+
+
+def draw_errors(
+    series: Sequence[Array],
+    labels: Sequence[str],
+    reference: tuple[str, Array] | None,
+    recordings: str,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw the errors (n,) of successive models relative to the first one, joint by joint.
+
+    ``reference`` has name and values (n,) of the errors of a complete model: the noise floor.
+    ``recordings`` are those on which the errors were measured: ``test``.
+    """
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure
+
+    colours = colormaps["viridis"]
+    joints = len(series[0]) if series else 0
+    figure: Figure
+    if ax is None:
+        figure = Figure(figsize=(3.6 + 1.2 * joints, 3.6), layout="constrained")
+        ax = figure.add_subplot()
+    else:
+        figure = ax.get_figure(root=True)  # type: ignore[assignment]
+    width = 0.8 / max(len(series), 1)
+    for k, values in enumerate(series):
+        at = np.arange(joints) - 0.4 + (k + 0.5) * width
+        colour = "0.6" if k == 0 else colours(0.15 + 0.75 * k / len(series))
+        label = fill(labels[k], LABEL_WIDTH, break_long_words=False)
+        ax.bar(at, values / series[0], width, label=label, color=colour)
+    name, values = reference or ("", np.zeros(0))
+    if series:
+        for j, part in enumerate(values / series[0][: len(values)]):
+            ax.plot([j - 0.4, j + 0.4], [part, part], "k--", linewidth=1.0)
+    ax.set_xticks(range(joints), [f"{j + 1}" for j in range(joints)])
+    ax.set_xlabel(f"joint (dashed: {name})" if name else "joint")
+    ax.set_ylabel(f"RMS error on the {recordings}\nfirst model = 1".replace(", ", ",\n"))
+    ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure

@@ -93,7 +93,7 @@ class Extension:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the errors of both models per joint; not shown."""
-        from lieid_casadi.diagnosis.plots import draw_errors
+        from lieid_casadi.comparison.plots import draw_errors
 
         recordings = "held-out training data" if self.rms_test_moving is None else "test"
         names = ["before", f"+ {', '.join(self.added)}"]

@@ -10,6 +10,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison.comparison import percent
 from lieid_casadi.comparison.noise_floor import SOURCES
+from lieid_casadi.comparison.plots import draw_errors
 from lieid_casadi.diagnosis.findings import (
     MOST_RIVALS,
     difference_sentence,
@@ -18,7 +19,6 @@ from lieid_casadi.diagnosis.findings import (
     join_words,
     unexplained_sentence,
 )
-from lieid_casadi.diagnosis.plots import draw_errors
 from lieid_casadi.diagnosis.step import (
     LEAST_STRETCHES,
     Difference,
