@@ -17,12 +17,7 @@ from lieid_casadi.excitation import (
     excite,
     load_capsules,
 )
-from lieid_casadi.excitation.clearance import covering_balls
-from lieid_casadi.excitation.links import (
-    collision_shapes,
-    segment_distance_to_points,
-    skeleton,
-)
+from lieid_casadi.excitation.links import collision_shapes, segment_distance_to_points
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
@@ -38,26 +33,6 @@ def test_an_enclosing_capsule_contains_all_points(seed, count):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(count, 3)) * rng.uniform(0.01, 1.0, 3)
     assert outside(enclosing(3, points), points).max() <= 1e-9
-
-
-def test_covering_balls_cover():
-    capsule = Capsule(1, np.zeros(3), np.array([0.0, 0.0, 0.4]), 0.1)
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(4000, 3))
-    points = 0.1 * points / np.linalg.norm(points, axis=1)[:, None]
-    points[:, 2] += rng.choice([0.0, 0.4, 0.11, 0.33], 4000)
-    inside = points[outside(capsule, points) <= 1e-12]
-    balls = covering_balls(capsule)
-    gap = [np.linalg.norm(inside - centre, axis=1) - radius for centre, radius in balls]
-    assert np.min(gap, axis=0).max() <= 1e-9
-
-
-def test_skeleton_runs_along_the_arm():
-    robot = lieid.robots.two_link()
-    first, second = skeleton(robot)
-    assert (first.link, second.link) == (1, 2)
-    assert np.isclose(np.linalg.norm(first.end), 0.5)
-    assert np.isclose(np.linalg.norm(second.end), 0.4)
 
 
 def distance(pose, a, b):
@@ -182,15 +157,6 @@ def test_bad_capsule_files(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(RobotError, match=message):
         load_capsules(path, lieid.robots.two_link())
-
-
-def test_links_of_zero_length_are_balls(recordings):
-    """The TX40's wrist; base and link 3 touch in 41 % of random poses, three joints apart."""
-    robot = lieid.Robot.from_urdf(recordings / "staubli_tx40" / "tx40.urdf")
-    assert {c.link for c in skeleton(robot)} >= set(range(1, 7))
-    limits = SelfCollision().on(robot)
-    assert "distance of the base from link 3" in limits.labels
-    assert "base – link 3" not in limits.left_out
 
 
 def test_links_that_cannot_be_checked_are_listed():

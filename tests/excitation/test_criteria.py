@@ -6,14 +6,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import ExcitationError, NotCountedWarning
-from lieid_casadi.excitation import (
-    CartesianSpeed,
-    Obstacle,
-    SelfCollision,
-    Torque,
-    Wall,
-    excite,
-)
+from lieid_casadi.excitation import CartesianSpeed, Obstacle, SelfCollision, Torque, Wall, excite
 from lieid_casadi.excitation.criteria import (
     Condition,
     ExpressionCriterion,
@@ -179,18 +172,6 @@ def test_effects_of_the_design_model(effects, expected, messages):
     for warning, message in zip(warnings, messages, strict=True):
         assert isinstance(warning, NotCountedWarning)
         assert message in str(warning)
-
-
-def test_a_design_warns_of_effects_that_it_leaves_out():
-    model = lieid.Model(ROBOT, effects="presliding,viscous,warm_up:1,temperature_friction:2")
-    options = {"duration": 8.0, "starts": 1, "max_iterations": 40, "limits": ()}
-    found = excite(model, **options)
-    plain = excite(lieid.Model(ROBOT, effects="coulomb,viscous,warm_up:1"), **options)
-    assert found.condition_number == pytest.approx(plain.condition_number)
-    assert found.to_dict()["effects"] == ["coulomb", "viscous", "warm_up:1"]
-    assert [w["name"] for w in found.to_dict()["warnings"]] == ["NotCountedWarning"] * 2
-    assert "temperature_friction:2" in found.summary()
-    assert plain.warnings == ()
 
 
 MODEL = lieid.Model(ROBOT, effects="coulomb,viscous")

@@ -5,13 +5,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import ExcitationError, NoSolution
-from lieid_casadi.excitation import (
-    CartesianSpeed,
-    Torque,
-    Wall,
-    excite,
-    floor,
-)
+from lieid_casadi.excitation import CartesianSpeed, Torque, Wall, excite, floor
 
 PANDA = lieid.robots.panda()
 

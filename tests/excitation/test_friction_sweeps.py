@@ -37,13 +37,6 @@ def test_speed_is_constant_and_positions_are_the_same_both_ways(sweep):
         np.testing.assert_allclose(ranges[0], ranges[1], atol=2e-3 * abs(forward.speed))
 
 
-def test_only_one_joint_moves_and_returns_to_its_start(sweep):
-    others = np.delete(sweep.motion.q, 2, axis=1)
-    assert np.ptp(others, axis=0).max() == 0.0
-    np.testing.assert_allclose(sweep.motion.q[[0, -1]], [sweep.motion.q[0]] * 2, atol=1e-12)
-    assert np.abs(sweep.motion.dq[[0, -1]]).max() < 1e-12
-
-
 def test_speeds_beyond_the_limits_are_left_out():
     fast = friction_sweep(PANDA, 0, speeds=[0.1, 3.0], seconds=1.0, limits=[])
     assert fast.left_out == (3.0,)

@@ -33,23 +33,6 @@ def test_fourier_series_as_printed():
     np.testing.assert_allclose(motion.q[:, 0], expected, atol=1e-12)
 
 
-def test_derivatives(p):
-    z = np.random.default_rng(1).normal(size=p.size)
-    t, h = np.linspace(0.1, 7.9, 40), 1e-5
-    trajectory = p.trajectory(z)
-    here, after, before = (trajectory.at(t + step) for step in (0.0, h, -h))
-    np.testing.assert_allclose(here.dq, (after.q - before.q) / (2 * h), atol=1e-6)
-    np.testing.assert_allclose(here.ddq, (after.dq - before.dq) / (2 * h), atol=1e-6)
-
-
-def test_end_conditions(p):
-    z = np.random.default_rng(2).normal(size=p.size)
-    ends = p.trajectory(z).at(np.array([0.0, 8.0]))
-    np.testing.assert_allclose(ends.dq, 0.0, atol=1e-10)
-    np.testing.assert_allclose(ends.ddq, 0.0, atol=1e-10)
-    np.testing.assert_allclose(ends.q, [p.pose, p.pose], atol=1e-10)
-
-
 def test_rounding_does_not_rotate_the_free_variables():
     """The singular vectors of a null space do rotate: other processors began elsewhere."""
     ends = Fourier(4, 8.0).evaluate(np.array([0.0, 8.0]))

@@ -8,12 +8,7 @@ from robot.random_arms import random_arm, random_states, to_pinocchio
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.errors import (
-    BoundWarning,
-    IdentificationError,
-    NominalInertiaWarning,
-    NoSolution,
-)
+from lieid_casadi.errors import BoundWarning, IdentificationError, NominalInertiaWarning, NoSolution
 from lieid_casadi.recording import Processing
 
 ROBOT = lieid.robots.panda()

@@ -42,16 +42,6 @@ def problem_of(model, factor, rng):
     return FeasibleProblem.of(model, references, friction, factor)
 
 
-def test_a_heavy_weight_returns_the_reference_bodies():
-    rng = np.random.default_rng(5)
-    model = lieid.Model(lieid.robots.two_link(), "viscous")
-    factor = rows_of(model, rng)
-    problem = problem_of(model, factor, rng)
-    links = ConvexSolver(problem).solve(factor, 1e9)[:20].reshape(2, 10)
-    for link, reference in zip(links, problem.references, strict=True):
-        np.testing.assert_allclose(pseudo_inertia(link), reference, rtol=1e-3, atol=1e-4)
-
-
 def test_friction_dissipates_between_the_points_of_the_grid():
     """Data of friction that drives the joint at speed: f_v2 below −f_v/v."""
     rng = np.random.default_rng(9)

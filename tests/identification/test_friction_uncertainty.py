@@ -5,10 +5,7 @@ import pytest
 from scipy.special import erf
 
 import lieid_casadi as lieid
-from lieid_casadi.identification.uncertainty.noise_model import (
-    dry_level,
-    friction_torque_std,
-)
+from lieid_casadi.identification.uncertainty.noise_model import dry_level, friction_torque_std
 from lieid_casadi.recording import Processing, process
 
 MODEL = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,load_friction")

@@ -1,9 +1,8 @@
 """Dependence of the residual on the motion, and its place in fit files."""
 
 import numpy as np
-import pytest
 
-from lieid_casadi.identification.uncertainty.noise_model import explainable, motion_ratio_of
+from lieid_casadi.identification.uncertainty.noise_model import motion_ratio_of
 
 SURE = np.ones(900)
 
@@ -25,11 +24,3 @@ def test_rows_with_uncertain_friction_are_no_dependence_on_the_motion():
     weights = np.where(uncertain, 0.3, 1.0)
     assert motion_ratio_of(residual, weights, np.arange(900), 1.0, 30) == 1.0
     assert motion_ratio_of(weights * residual, SURE, np.arange(900), 1.0, 30) > 1.2
-
-
-def test_explainable_part_is_that_of_the_columns():
-    random = np.random.default_rng(2)
-    columns = random.standard_normal((4000, 3))
-    residual = columns @ np.array([1.0, 0.0, 0.0]) + random.standard_normal(4000)
-    assert explainable(residual, columns) == pytest.approx(0.5, abs=0.05)
-    assert explainable(random.standard_normal(4000), columns) < 0.01

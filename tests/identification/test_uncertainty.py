@@ -6,9 +6,7 @@ import pytest
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.identification.regression.least_squares import JointRows, Rows
-from lieid_casadi.identification.uncertainty.covariance import (
-    hac_covariance,
-)
+from lieid_casadi.identification.uncertainty.covariance import hac_covariance
 from lieid_casadi.recording import Processing
 
 ROBOT = lieid.robots.two_link()

@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime, least_squares
 
-import lieid_casadi as lieid
-from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.variable_projection import (
     SeparableProblem,
     ShapeRange,
     minimize_shapes,
 )
-from lieid_casadi.recording import Processing, process
 
 X = np.linspace(0.0, 4.0, 120)
 RANGES = ShapeRange(np.array([0.05, 0.0]), np.array([5.0, 6.0]))  # logarithmic, linear
@@ -54,17 +51,3 @@ def test_the_gradient_of_the_cost_follows_from_the_jacobian(upper):
     gradient = 2.0 * separable.jacobian(shapes, solution).T @ solution.residual
     expected = approx_fprime(shapes, lambda s: np.sum(separable.solve(s).residual ** 2), 1e-6)
     np.testing.assert_allclose(gradient, expected, rtol=2e-3)
-
-
-def test_columns_that_depend_on_shapes_or_load_are_those_of_the_last_shapes_and_load():
-    robot, t = lieid.robots.two_link(), np.arange(0.0, 6.0, 0.01)
-    q = np.column_stack([np.sin(t), 0.5 * np.cos(2.0 * t)])
-    segments = process(lieid.Recording.from_arrays(t, q, tau=np.cos(q)), Processing(cutoff=10.0))
-    compiled = lieid.compile(lieid.Model(robot, "load_friction,stribeck"))
-    design = Design(compiled, segments)
-    links = robot.link_parameters
-    inputs = [(np.array(v), x * links) for v in ([0.1, 0.1], [0.2, 0.1]) for x in (1.0, 2.0)]
-    for shapes, load in (*inputs, inputs[0], inputs[0]):
-        fresh = Design(compiled, segments).varying_rows(shapes, load)
-        for found, expected in zip(design.varying_rows(shapes, load), fresh, strict=True):
-            np.testing.assert_array_equal(found, expected)
