@@ -31,18 +31,7 @@ def triangular(matrix: Array) -> Array:
 
 
 class Triangle:
-    """Triangular factor ``r`` (k, k) of rows added piece by piece.
-
-    rᵀ·r is the Gram matrix of the rows so far, which is never formed.
-
-    Examples
-    --------
-    >>> triangle = Triangle(2)
-    >>> triangle.add(np.array([[3.0, 0.0], [4.0, 2.0]]))
-    >>> np.abs(triangle.r).round(12)
-    array([[5. , 1.6],
-           [0. , 1.2]])
-    """
+    """Triangular factor ``r`` (k, k) of rows added piece by piece: rᵀ·r is their Gram matrix."""
 
     def __init__(self, columns: int) -> None:
         self.r = np.zeros((columns, columns))

@@ -36,45 +36,21 @@ class RivalPair:
 
 @dataclass(frozen=True, eq=False)
 class Discrimination:
-    """Result of :func:`lieid_casadi.discrimination.discriminate`.
+    """Result of :func:`lieid_casadi.discrimination.discriminate`."""
 
-    Attributes
-    ----------
-    model : Model
-        The rivals' common model.
-    trajectory : Trajectory
-        One period, at rest at both ends.
-    periods : int
-        How often it must be run for the worst pair.
-    level : float
-        Of the test and its power: 0.95 rejects a wrong rival at the 5 % level in 95 % of cases.
-    sizes : dict
-        Label → assumed coefficients, then shape parameters, of each effect.
-    max_violation : float
-        Of the limits on a fine grid, relative to each; negative values are margins.
-    evaluations : int
-        Of the criterion.
-    rate : float
-        Of the trajectory file, Hz.
-    interrupted : bool
-        Whether Ctrl-C ended the search.
-    checked, unchecked : tuple of str
-        Limits that were checked, and limits that were not.
-    """
-
-    model: Model
-    trajectory: Trajectory
-    periods: int
-    level: float
-    sizes: dict[str, list[float]]
+    model: Model  #: the rivals' common model
+    trajectory: Trajectory  #: one period, at rest at both ends
+    periods: int  #: how often it must be run for the worst pair
+    level: float  #: of the test and its power: 0.95 rejects a wrong rival at 5 % in 95 % of cases
+    sizes: dict[str, list[float]]  #: label → assumed coefficients, then shape parameters
     pairs: tuple[RivalPair, ...]
-    max_violation: float
-    evaluations: int
+    max_violation: float  #: of the limits on a fine grid, relative to each; margins are negative
+    evaluations: int  #: of the criterion
     solve_seconds: float
-    rate: float
-    interrupted: bool = False
-    checked: tuple[str, ...] = ()
-    unchecked: tuple[str, ...] = ()
+    rate: float  #: of the trajectory file, Hz
+    interrupted: bool = False  #: by Ctrl-C
+    checked: tuple[str, ...] = ()  #: limits that were checked
+    unchecked: tuple[str, ...] = ()  #: limits that were not
 
     @property
     def seconds(self) -> float:

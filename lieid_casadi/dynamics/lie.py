@@ -64,13 +64,9 @@ def pose(matrix: ArrayLike) -> Pose:
 
 
 def exp(screw: Array, q: ca.SX, sin: ca.SX, cos: ca.SX) -> Pose:
-    """Return exp(ξ̂·q) for a unit screw (6,) of zero pitch.
+    """Return exp(ξ̂·q) for a screw [ω; v] of zero pitch, |ω| = 1, or ω = 0 and |v| = 1.
 
-    ``sin`` and ``cos`` are those of q, passed in so that generated code can take them as
-    inputs. A prismatic screw (ω = 0) uses q alone.
-
-    ``screw`` (6,): [ω; v] with |ω| = 1, or ω = 0 and |v| = 1; ``q``: angle in rad, or displacement
-    in m; ``sin``, ``cos``: of q.
+    ``sin`` and ``cos`` are those of q, so that generated code can take them as inputs.
     """
     omega, v = screw[:3], screw[3:]
     if constant(omega).nnz() == 0:
@@ -126,11 +122,7 @@ class Motion:
 
     @classmethod
     def of(cls, q: ca.SX, dq: ca.SX | None = None, ddq: ca.SX | None = None) -> Motion:
-        """Return the motion of given expressions.
-
-        ``q`` (n,): rad (m for a prismatic joint); ``dq``, ``ddq`` (n,): structurally zero if left
-        out.
-        """
+        """Return the motion of expressions (n,); rates that are left out are structurally zero."""
         zero = ca.SX(q.shape[0], 1)
         dq, ddq = (zero if rate is None else rate for rate in (dq, ddq))
         return cls(q, ca.sin(q), ca.cos(q), dq, ddq)

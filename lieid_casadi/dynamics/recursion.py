@@ -139,16 +139,11 @@ def inertia_moments(body: LinkAcceleration) -> ca.SX:
 
 
 def inverse_dynamics(
-    robot: Robot,
-    motion: Motion,
-    parameters: ca.SX,
-    *,
-    gravity: ca.SX | None = None,
+    robot: Robot, motion: Motion, parameters: ca.SX, *, gravity: ca.SX | None = None
 ) -> ca.SX:
-    """Return the rigid torque (n,) by the backward recursion, Eq. 3.
+    """Return the rigid torque (n,) of link parameters (10 n,) by the backward recursion, Eq. 3.
 
-    ``parameters`` (10 n,): link parameters; ``gravity`` (3,): gravity in the base frame in place of
-    the robot's, m/s².
+    ``gravity`` (3,), in the base frame, takes the place of the robot's, m/s².
     """
     poses, xi = relative_poses(robot, motion), axes(robot)
     wrench, torque = ca.SX(6, 1), [ca.SX(1, 1)] * robot.n

@@ -57,26 +57,19 @@ def default_limits(
     clearance: float | None = CLEARANCE,
     capsules: Sequence[Capsule] | None = None,
 ) -> tuple[Limit, ...]:
-    """Return the limits besides those of the joints; None leaves a limit out.
+    """Return `Torque`, `CartesianSpeed`, `floor` and `SelfCollision`, as far as they apply.
+
+    They are the limits of a robot besides those of the joints; None leaves a limit out.
 
     Parameters
     ----------
-    robot : Robot
     margin : float
         Part of the torque limits, where the robot states inertias and torque limits.
-    floor_height : float or None
-        Height of the floor in the base frame, m.
-    cartesian_speed : float or None
-        Of the tool and the joint centres, m/s.
-    clearance : float or None
-        Between links, m.
+    floor_height, cartesian_speed, clearance : float or None
+        Height of the floor in the base frame, m; speed of the tool and the joint centres, m/s;
+        distance between links, m.
     capsules : sequence of Capsule, optional
         Links. Default: those of `capsules_of`.
-
-    Returns
-    -------
-    tuple of Limit
-        `Torque`, `CartesianSpeed`, `floor` and `SelfCollision`, as far as they apply.
     """
     limits: list[Limit] = []
     if robot.has_inertia and np.isfinite(torque_limits(robot)).any():

@@ -117,23 +117,12 @@ def _unit(value: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True)
 class Wall:
-    """Half-space in which the arm must stay: normal·x ≤ offset, base frame, m.
-
-    Attributes
-    ----------
-    normal : (3,)
-    offset : float
-        m, for a unit normal.
-    name : str
-        In messages.
-    capsules : tuple of Capsule
-        Links. Default: those of `capsules_of`.
-    """
+    """Half-space in which the arm must stay: normal·x ≤ offset, base frame, m."""
 
     normal: tuple[float, float, float]
-    offset: float
-    name: str = "wall"
-    capsules: tuple[Capsule, ...] = ()
+    offset: float  #: m, for a unit normal
+    name: str = "wall"  #: in messages
+    capsules: tuple[Capsule, ...] = ()  #: links; by default those of `capsules_of`
 
     @property
     def plane(self) -> tuple[Array, float]:
@@ -195,21 +184,12 @@ class Obstacle:
     """Box along the axes of the base that the arm must avoid.
 
     Each capsule is replaced by balls that contain it (`covering_balls`).
-
-    Attributes
-    ----------
-    lower, upper : (3,)
-        Corners, m.
-    name : str
-        In messages.
-    capsules : tuple of Capsule
-        Links. Default: those of `capsules_of`.
     """
 
-    lower: tuple[float, float, float]
+    lower: tuple[float, float, float]  #: corner, m
     upper: tuple[float, float, float]
-    name: str = "obstacle"
-    capsules: tuple[Capsule, ...] = ()
+    name: str = "obstacle"  #: in messages
+    capsules: tuple[Capsule, ...] = ()  #: links; by default those of `capsules_of`
 
     def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """See `Limit`."""

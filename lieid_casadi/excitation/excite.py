@@ -6,7 +6,7 @@ import io
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -119,10 +119,9 @@ def excite(
     starts : int
         Number of random starts; the best trajectory is returned.
     seed : int
-        Of the first start; the others follow. Results do not depend on threads or the
-        instruction set of the compiled functions. The rounding of the linear algebra depends on
-        the processor, and the search amplifies it: between OpenBLAS kernels the condition number
-        of the best of four starts changes by 1 to 10 %.
+        Of the first start; the others follow. The rounding of the linear algebra depends on the
+        processor, and the search amplifies it: between OpenBLAS kernels the condition number of
+        the best of four starts changes by 1 to 10 %.
     max_iterations : int, optional
         Most iterations of one start; without it each stage of the search ends by its own
         tolerance. There is no limit in seconds, so that results do not depend on the load of the
@@ -202,51 +201,25 @@ def best_of(attempts: Sequence[StartAttempt]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """Result of :func:`lieid_casadi.excite`.
-
-    Attributes
-    ----------
-    trajectory : Trajectory
-        Periodic: a robot may repeat it.
-    rest_pose : (n,)
-        Pose at which the whole motion begins and ends, rad.
-    rate : float
-        Of the files, Hz.
-    samples : int
-        Of the criterion over one period.
-    quality : Quality
-        Condition number and singular values at the samples.
-    criterion : str
-    max_violation : float
-        Largest excess over any limit on a grid 20 times finer than the samples, in the limit's
-        unit; 0 if every limit holds.
-    starts : tuple of StartAttempt
-    build_seconds, solve_seconds : float
-        For derivation and compilation; for optimization and verification of all starts.
-    interrupted : bool
-        Whether the user interrupted the search; the trajectory is the best so far.
-    checked, unchecked : tuple of str
-        Limits with the joints, links and pairs for which the motion was verified to keep them, and
-        everything for which it was not.
-    warnings : tuple of LieidWarning
-        Effects that the design could not take into account.
-    """
+    """Result of :func:`lieid_casadi.excite`."""
 
     model: Model
-    trajectory: Trajectory
-    rest_pose: Array
-    rate: float
-    samples: int
-    quality: Quality
+    trajectory: Trajectory  #: periodic: a robot may repeat it
+    rest_pose: Array  #: (n,): at which the motion begins and ends, rad
+    rate: float  #: of the files, Hz
+    samples: int  #: of the criterion
+    quality: Quality  #: condition number and singular values at the samples
     criterion: str
+    #: largest excess over any limit on a grid 20 times finer than the samples, in the limit's unit
     max_violation: float
     starts: tuple[StartAttempt, ...]
-    build_seconds: float
-    solve_seconds: float
-    interrupted: bool = False
+    build_seconds: float  #: for derivation and compilation
+    solve_seconds: float  #: for optimization and verification of all starts
+    interrupted: bool = False  #: by the user: the trajectory is the best so far
+    #: limits with the joints, links and pairs for which the motion was verified to keep them
     checked: tuple[str, ...] = ()
-    unchecked: tuple[str, ...] = ()
-    warnings: tuple[LieidWarning, ...] = field(default=())
+    unchecked: tuple[str, ...] = ()  #: everything for which it was not
+    warnings: tuple[LieidWarning, ...] = ()  #: effects that the design could not take into account
 
     @property
     def condition_number(self) -> float:

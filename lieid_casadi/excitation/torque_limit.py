@@ -37,19 +37,12 @@ class Torque:
 
     For a fit it is the torque of the identified links and of all effects, plus or minus two
     standard deviations. For a model without a fit it is the rigid torque of the
-    stated inertias, with an allowance for friction in parts of the torque limit.
-
-    Attributes
-    ----------
-    fraction : float
-        Of the torque limits.
-    dry, viscous : float
-        Allowance without a fit: friction at any speed, and the part in proportion to the speed
-        that it reaches at the velocity limit, of the torque limit. The UR10e's friction is 0.06
-        and 0.25 to 0.41 of it.
+    stated inertias, with an allowance for friction in parts of the torque limit: ``dry`` at any
+    speed, and ``viscous`` in proportion to the speed, at the velocity limit. The UR10e's friction
+    is 0.06 and 0.25 to 0.41 of it.
     """
 
-    fraction: float = 1.0
+    fraction: float = 1.0  #: of the torque limits
     dry: float = DRY_FRICTION
     viscous: float = VISCOUS_FRICTION
 

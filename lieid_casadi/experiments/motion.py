@@ -46,33 +46,16 @@ SWEEP_SECONDS = (1.0, 0.7)  # at each speed and direction, that are tried
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion:
-    """A motion that is to be run, at rest at the same pose at both ends.
+    """A motion that is to be run, at rest at the same pose at both ends."""
 
-    Attributes
-    ----------
-    number : int
-        Of its recording, from 1.
-    purpose : Purpose
-    samples : MotionSamples
-        Times t (N,), positions, velocities and accelerations q, dq, ddq (N, n).
-    probe : float
-        Length of the probe motion at the start, the same in every recording, s.
-    promise : str
-        What the design predicts.
-    checked, unchecked : tuple of str
-        Limits that the whole motion was verified to keep, and limits that it was not.
-    folder : Path
-        With ``trajectory.csv``, and where ``recording.csv`` belongs.
-    """
-
-    number: int
+    number: int  #: of its recording, from 1
     purpose: Purpose
-    samples: MotionSamples
-    probe: float
-    promise: str
-    checked: tuple[str, ...]
-    unchecked: tuple[str, ...]
-    folder: Path
+    samples: MotionSamples  #: times t (N,), s; q, dq, ddq (N, n), rad, rad/s, rad/s²
+    probe: float  #: length of the probe motion at the start, the same in every recording, s
+    promise: str  #: what the design predicts
+    checked: tuple[str, ...]  #: limits that the whole motion was verified to keep
+    unchecked: tuple[str, ...]  #: limits that it was not
+    folder: Path  #: with ``trajectory.csv``, and where ``recording.csv`` belongs
 
     @property
     def duration(self) -> float:

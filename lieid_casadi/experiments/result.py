@@ -43,28 +43,15 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Result of :func:`lieid_casadi.experiment`.
+    """Result of :func:`lieid_casadi.experiment`."""
 
-    Attributes
-    ----------
-    robot : str
-        Its name.
-    rounds : tuple of Round
-    diagnosis : Diagnosis or None
-        Of all recordings; None if there is no recording.
-    stopped : str
-        ``all_named``, ``most`` (recordings), ``not_separable`` or ``record_failed``; None while
-        the experiment goes on.
-    reason : str
-        One sentence.
-    folder : Path
-    """
-
-    robot: str
+    robot: str  #: its name
     rounds: tuple[Round, ...]
-    diagnosis: Diagnosis | None = None
+    diagnosis: Diagnosis | None = None  #: of all recordings; None if there is none
+    #: ``all_named``, ``most`` (recordings), ``not_separable`` or ``record_failed``; None while the
+    #: experiment goes on
     stopped: Stopped | None = None
-    reason: str = ""
+    reason: str = ""  #: one sentence
     folder: Path = Path()
 
     @property

@@ -41,65 +41,36 @@ NORMAL_95 = 1.96  # standard deviations of a normal distribution within 95 %
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Result of :func:`lieid_casadi.identify`.
+    """Result of :func:`lieid_casadi.identify`; it predicts, samples and saves itself.
 
-    Attributes
-    ----------
-    model : Model
-    method : str
-        ``ols``, ``wls``, ``robust`` or ``feasible``.
-    values : (p,)
-        Base parameters β, as ``model.base_columns``.
-    shapes : (s,)
-        Shape parameters, as ``model.shapes``.
-    covariance : (p + s, p + s)
-        Of values and shapes, with the correlation of the residuals in time accounted for. For
-        ``feasible`` it is that of weighted least squares: constraints and regularization towards
-        the nominal bodies reduce the variance and add a bias, which a covariance does not show.
-    parameters : (10 n + m,)
-        Link parameters and effect coefficients that give ``values``: physically consistent for
-        ``feasible``, otherwise those nearest to the robot's nominal ones.
-    noise : (n,)
-        Standard deviation of the residual per joint, N·m.
-    residual_noise : tuple of Noise
-        Of each joint: size and correlation in time of the residual, without the uncertainty of
-        dry friction near velocity reversals.
-    rms_train, rms_train_raw : (n,)
-        RMS error on the training recordings, N·m: of measured and predicted torque through the
-        same filter, and raw (resampled to a uniform grid, not filtered).
-    rms_cv : (n,)
-        RMS error on held-out blocks of the training recordings, joints in motion, N·m.
-    processing : Processing
-        Filter options, with the cut-off that was used.
-    conditioning : Conditioning
-    warnings : tuple of LieidWarning
-    provenance : Provenance
-    temperature_mean : (n,) or None
-        Mean temperatures of the training recordings, °C, to which temperature effects refer.
-    shape_intervals : (s, 2) or None
-        Bounds of each shape with a probability of 95 %, from the profile of the weighted error;
-        NaN for shapes that the recordings give. None if the shapes were held.
-    certificate : Certificate or None
-        Of the method ``feasible``: checks of physical consistency, and the increase in error.
+    The covariance accounts for the correlation of the residuals in time. For ``feasible`` it is
+    that of weighted least squares: constraints and regularization towards the nominal bodies
+    reduce the variance and add a bias, which a covariance does not show.
     """
 
     model: Model
-    method: str
-    values: Array
-    shapes: Array
-    covariance: Array
+    method: str  #: ``ols``, ``wls``, ``robust`` or ``feasible``
+    values: Array  #: (p,): base parameters β, as ``model.base_columns``
+    shapes: Array  #: (s,): shape parameters, as ``model.shapes``
+    covariance: Array  #: (p + s, p + s): of values and shapes
+    #: (10 n + m,): link parameters and effect coefficients that give ``values``: physically
+    #: consistent for ``feasible``, otherwise those nearest to the robot's nominal ones
     parameters: Array
-    noise: Array
+    noise: Array  #: (n,): standard deviation of the residual, N·m
+    #: of each joint: size and correlation in time of the residual, without the uncertainty of dry
+    #: friction near velocity reversals
     residual_noise: tuple[Noise, ...]
-    rms_train: Array
-    rms_train_raw: Array
-    rms_cv: Array
-    processing: Processing
+    rms_train: Array  #: (n,): error on the training recordings, filtered torques, N·m
+    rms_train_raw: Array  #: (n,): the same on a uniform grid, not filtered, N·m
+    rms_cv: Array  #: (n,): on held-out blocks of them, joints in motion, N·m
+    processing: Processing  #: filter options, with the cut-off that was used
     conditioning: Conditioning
     warnings: tuple[LieidWarning, ...]
     provenance: Provenance
-    temperature_mean: Array | None = None
-    certificate: Certificate | None = None
+    temperature_mean: Array | None = None  #: (n,): °C, to which temperature effects refer
+    certificate: Certificate | None = None  #: of ``feasible``: physical consistency, and its cost
+    #: (s, 2): bounds of each shape with a probability of 95 %, from the profile of the weighted
+    #: error; NaN for shapes that the recordings give. None if the shapes were held
     shape_intervals: Array | None = None
 
     @cached_property

@@ -286,12 +286,6 @@ def default_effects(
     Torque from motor currents or from the control law of position-controlled drives contains the
     torque that accelerates the rotors, which a sensor at the joint does not measure; ``motor_side``
     states it for others. Commands are held until the next one, which is a delay.
-
-    Examples
-    --------
-    >>> import lieid_casadi as lieid
-    >>> default_effects(lieid.robots.two_link(), []).names
-    ('coulomb', 'viscous', 'offset')
     """
     if motor_side:
         return DefaultEffects(MOTOR_SIDE, "torque is measured at the motors")

@@ -83,12 +83,10 @@ class Certificate:
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Certificate:
         """Return the certificate of `to_dict`'s data."""
-        values: dict[str, Any] = {
-            name: np.array(value, dtype=float) if isinstance(value, list) else value
-            for name, value in data.items()
-        }
-        least = values.pop("least_dissipation")
-        return cls(least_dissipation=np.inf if least is None else least, **values)
+        values = {n: np.array(x, float) if isinstance(x, list) else x for n, x in data.items()}
+        if values["least_dissipation"] is None:
+            values["least_dissipation"] = np.inf
+        return cls(**values)
 
 
 def _row(values: Array) -> str:

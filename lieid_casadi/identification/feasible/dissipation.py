@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
@@ -71,14 +72,12 @@ def dissipation_rows(
 
 def coupled_joints(model: Model) -> list[list[int]]:
     """Return groups of joints that couplings connect."""
-    groups = [{j} for j in range(model.n)]
+    edges = np.zeros((model.n, model.n))
     for p in model.placements:
         if p.source is not None:
-            a, b = (next(g for g in groups if j in g) for j in (p.joint, p.source))
-            if a is not b:
-                groups.remove(b)
-                a |= b
-    return [sorted(group) for group in groups]
+            edges[p.joint, p.source] = 1.0
+    count, group = connected_components(edges, directed=False)
+    return [np.flatnonzero(group == k).tolist() for k in range(count)]
 
 
 def largest_speed(model: Model, segments: Sequence[Processed]) -> Array:
