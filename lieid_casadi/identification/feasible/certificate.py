@@ -83,7 +83,8 @@ class Certificate:
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Certificate:
         """Return the certificate of `to_dict`'s data."""
-        values = {n: np.array(x, float) if isinstance(x, list) else x for n, x in data.items()}
+        values = dict[str, Any](data)
+        values |= {n: np.array(x, float) for n, x in data.items() if isinstance(x, list)}
         if values["least_dissipation"] is None:
             values["least_dissipation"] = np.inf
         return cls(**values)
