@@ -285,12 +285,6 @@ def test_load_friction_that_leaves_the_acceleration_undetermined_is_refused():
             assert arm.forward_dynamics.name_in() == ["q", "dq", "tau"]
 
 
-@pytest.mark.parametrize("width", [0.0, -1.0, np.nan])
-def test_a_smooth_velocity_is_positive(width):
-    with pytest.raises(ModelError, match="smooth_velocity"):
-        symbolic(lieid.robots.two_link(), smooth_velocity=width)
-
-
 FIT = made_fit(PANDA, COMBINED)
 
 

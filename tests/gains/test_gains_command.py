@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from gains.test_drive_gains import ARM, GAINS, LOADED, MASS, amperes
 
-import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 
 
@@ -34,18 +33,6 @@ def test_table_json_and_the_option(files, tmp_path, capsys):
     assert content["not_identified"] == []
     assert content["warnings"] == []
     assert content["option"] in shown.splitlines()
-
-
-@pytest.mark.slow
-def test_identify_accepts_the_printed_option(files, tmp_path, capsys):
-    assert lieid_gains(files) == 0
-    lines = capsys.readouterr().out.splitlines()
-    option = next(line for line in lines if line.startswith("--torque-constants")).split()
-    words = ["identify", "panda", str(files / "empty.csv"), *option, "-o", str(tmp_path / "f.json")]
-    assert main(words) == 0
-    fit = lieid.Fit.load(tmp_path / "f.json")
-    coulomb = fit.values[[p.name == "coulomb.f_c" for p in fit.model.base_columns]]
-    assert np.allclose(coulomb, ARM.friction.coulomb, rtol=0.05)
 
 
 @pytest.mark.parametrize(

@@ -177,14 +177,3 @@ def test_every_module_of_the_library_is_registered():
     folder = Path(effects.__file__).parent
     defined = {path.stem for path in folder.glob("*.py") if "\n@register\n" in path.read_text()}
     assert {kind.__module__.rpartition(".")[2] for kind in LIBRARY} == defined
-
-
-@pytest.mark.parametrize("label", sorted(REGISTER))
-def test_times_and_speeds_state_what_resolves_them(label):
-    """A diagnosis limits the range of such shape parameters to what a recording resolves."""
-    expected = {"s": "duration", "rad/s": "speed"}
-    if "command_error" in make(label).signals:
-        expected["rad"] = "command_error"
-    for shape in make(label).shapes:
-        if shape.lower > 0.0:
-            assert shape.resolved_by == expected.get(shape.unit, "")

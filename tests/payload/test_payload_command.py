@@ -51,13 +51,6 @@ def test_table_json_and_report(files, tmp_path, capsys):
     assert not [v for n in FETCHING for v in html.values(n) if not v.startswith(("data:", "#"))]
 
 
-def test_another_cutoff(files, tmp_path):
-    out = tmp_path / "p.json"
-    words = [files / "fit.json", files / "loaded.csv", "--cutoff", 5]
-    assert lieid_payload(*words, "--json", out) == 0
-    assert json.loads(out.read_text())["cutoff"] == 5.0
-
-
 def test_currents_with_torque_constants(files, tmp_path):
     run = lieid.Recording.load(files / "loaded.csv")
     constants = np.array([11.0, 9.0])

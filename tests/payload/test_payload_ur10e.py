@@ -8,7 +8,6 @@ from real_arms import UR10E, needs
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.errors import IdentificationError
 from lieid_casadi.plant.rigid import rigid_torques
 from lieid_casadi.recording import process
 from lieid_casadi.robot.inertia import link_parameters
@@ -79,11 +78,3 @@ def test_gains_from_measured_currents_and_a_body(robot):
     )
     assert np.all(np.abs(found.gains - GAINS) < 3.5 * found.std)
     assert np.all(found.std[1:] < 0.05 * GAINS[1:])
-
-
-def test_motion_of_one_joint_identifies_no_payload(robot):
-    path = UR10E / "joint_2_alone_currents.csv.gz"
-    run = lieid.Recording.load(path, torque_constants=GAINS)
-    fit = lieid.identify(lieid.Model(robot, "coulomb,viscous,offset,armature"), run)
-    with pytest.raises(IdentificationError, match="no parameter of a payload can be identified"):
-        lieid.identify_payload(fit, run.cut(10.0, 40.0))

@@ -137,11 +137,6 @@ def test_power_stays_the_same():
     )
 
 
-def test_velocities_can_be_left_out():
-    given = lieid.Recording.from_arrays([0.0, 1.0], [[0.0], [1.0]], dq=[[5.0], [5.0]])
-    assert correction_of(["--derive-velocity"], 1).of_recording(given).dq is None
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [

@@ -1,15 +1,13 @@
 """Functions accept a robot in place of a model, and say how a file becomes a recording."""
 
-from inspect import signature
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
-from exporters.c_arms import ARMS, made_fit
+from exporters.c_arms import ARMS
 
 import lieid_casadi as lieid
-from lieid_casadi.errors import ExportError, ModelError, RecordingError
+from lieid_casadi.errors import ModelError, RecordingError
 from lieid_casadi.recording.recording import listed
 
 ROBOT = lieid.robots.two_link()
@@ -60,36 +58,3 @@ def test_recordings_may_be_any_iterable(recording):
     assert listed(iter([recording])) == listed(recording) == [recording]
     with pytest.raises(RecordingError, match="got a float; expected a Recording"):
         listed(1.0)
-
-
-def test_export_writes_each_format(tmp_path):
-    from exporters.test_urdf_export import fitted
-
-    fit = made_fit(ROBOT, "")
-    made = lieid.export(fit, tmp_path / "c", to="c", prefix="scara")
-    assert {path.name for path in made.files} >= {"scara.h", "scara.c"}
-    made = lieid.export(fitted(ROBOT), tmp_path / "mjcf", to="mjcf")
-    assert made.files[0].name == "two_link.xml"
-    with pytest.raises(ExportError, match="format 'matlab'; expected c, urdf, mjcf"):
-        lieid.export(fit, tmp_path / "other", to="matlab")
-    with pytest.raises(ExportError, match="prefix and payload apply to C code"):
-        lieid.export(fit, tmp_path / "other", to="urdf", prefix="scara")
-    assert not (tmp_path / "other").exists()
-
-
-def test_methods_and_criteria_have_literal_types():
-    """A type checker refuses other names, and the command line has the same ones."""
-    from lieid_casadi.cli.main import build_parser
-    from lieid_casadi.excitation import criteria
-    from lieid_casadi.identification.identify import Method
-
-    commands = next(a for a in build_parser()._actions if a.dest == "command").choices
-    choices = {(c, a.dest): a.choices for c, p in commands.items() for a in p._actions}
-    assert set(get_args(Method)) == set(choices["identify", "method"])
-    assert get_args(criteria.CriterionName) == criteria.NAMES
-    for function, name, annotation in (
-        (lieid.identify, "method", "Method"),
-        (lieid.diagnose, "method", "Method"),
-        (lieid.excite, "criterion", "CriterionName | CriterionExpression | Criterion"),
-    ):
-        assert signature(function).parameters[name].annotation == annotation

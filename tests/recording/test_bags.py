@@ -28,13 +28,6 @@ def test_a_bag_comes_back(tmp_path, arm, plugin, stamped):
         assert len(recording.source_hash) == 64
 
 
-def test_a_part_of_an_mcap_file(tmp_path, arm):
-    bag = write(tmp_path / "bag", arm_messages(arm), StoragePlugin.MCAP)
-    (file,) = bag.glob("*.mcap")
-    recording = Recording.load(f"{file}@0.5:1")
-    np.testing.assert_array_equal(recording.q, arm.q[50:100])
-
-
 def test_joints_are_ordered_by_the_robot(tmp_path, arm):
     bag = write(tmp_path / "bag", arm_messages(arm, names=["elbow", "shoulder"]))
     np.testing.assert_array_equal(Recording.load(bag).q, arm.q[:, ::-1])

@@ -1,10 +1,8 @@
 """Files that inflate without bound, or whose structure states what their bytes do not hold."""
 
 import gzip
-import io
 import os
 import re
-import struct
 import tracemalloc
 import zipfile
 
@@ -109,38 +107,6 @@ def test_pipes_and_names_with_a_null_character_are_refused(tmp_path, name):
 # -- statements that the bytes do not hold --------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("header", "message"),
-    [
-        ("{'descr': '<f8', 'fortran_order': False, 'shape': (4000000000, 2), }", "not an NPZ"),
-        ("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 2), }", "not an NPZ"),
-        ("{'descr': '|O', 'fortran_order': False, 'shape': (2, 2), }", "Object arrays"),
-        ("{'descr': '<f8', 'fortran_order': False, 'shape': (1.5,), }", "not an NPZ"),
-        ("nonsense", "not an NPZ of plain arrays"),
-    ],
-)
-def test_arrays_with_impossible_headers(tmp_path, run, header, message):
-    text = header.encode() + b"\n"
-    content = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + bytes(32)
-    file = tmp_path / "run.npz"
-    with zipfile.ZipFile(file, "w") as archive:
-        array = io.BytesIO()
-        np.save(array, run.t)
-        archive.writestr("t.npy", array.getvalue())
-        archive.writestr("q.npy", content)
-    assert message in refused(file)
-
-
-@pytest.mark.parametrize("column", [[[1.0]] * 3, [b"\xff"] * 3, [10**9] * 3])
-def test_parquet_columns_that_hold_no_numbers(tmp_path, column):
-    values = pyarrow.array(column)
-    if pyarrow.types.is_integer(values.type):
-        values = values.cast("timestamp[ns]")
-    table = pyarrow.table({"t": [0.0, 0.1, 0.2], "q1": values})
-    pyarrow.parquet.write_table(table, tmp_path / "run.parquet")
-    assert "column q1" in refused(tmp_path / "run.parquet")
-
-
 # -- the registry ---------------------------------------------------------------------
 
 
@@ -169,27 +135,20 @@ def with_row(index, row):
     ("content", "expected"),
     [
         (with_row(1, "0.1,1,abc,3,4"), "line 3, column q2: found 'abc', expected a number"),
-        (with_row(1, "0.1,1,,3,4"), "line 3, column q2: found an empty cell, expected a number"),
-        (with_row(2, "0.2,1,1_0,3,4"), "line 4, column q2: found '1_0', expected a number"),
         (with_row(0, "0,nan,2,3,4"), "line 2, column q1: found nan, expected a finite number"),
         (with_row(2, "0.2,1,2,-inf,4"), "line 4, column tau1: found -inf, expected a finite"),
-        (with_row(2, "nan,1,2,3,4"), "line 4, column t: found nan, expected a finite number"),
         (with_row(1, "0.1,1,2,3"), "line 3, column tau2: found 4 columns, expected 5"),
-        (with_row(1, "0.1,1,2,3,4,5"), "line 3, column tau2: found 6 columns, expected 5"),
         (
             with_row(2, "0.05,1,2,3,4"),
             "line 4, column t: found 0.05 s after 0.1 s (time goes back)",
         ),
         (with_row(2, "0.1,1,2,3,5"), "line 4, column t: found the time 0.1 s twice"),
         ("", "found an empty file, expected a header"),
-        ("\n \n", "found an empty file, expected a header"),
-        (HEADER, "found no rows below the header"),
         (HEADER + "\n" + ROWS[0], "found one row below the header, expected at least two"),
         ("\n".join(ROWS), "line 1: found numbers, expected a header"),
         ("<robot name='a'>\n</robot>\n", "line 1: found \"<robot name='a'>\", expected a header"),
         ("t;q1;q2\n0;1;2\n", "line 1: found semicolons between columns, expected commas"),
         ("t\tq1\n0\t1\n", "line 1: found tabs between columns, expected commas"),
-        ("t,tau1\n0,1\n1,2\n", "line 1: no column q1"),
         ("when,q1\n0,1\n1,2\n", "line 1: found 'when,q1', expected a header with column t"),
         ("t,q1,q1\n0,1,2\n1,2,3\n", "line 1: column 'q1' occurs twice"),
         ("t,q0,q1\n0,1,2\n1,2,3\n", "line 1: found column 'q0', expected joints from 1"),

@@ -8,8 +8,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from recording.planar_arm import measured
 
-import lieid_casadi as lieid
-from lieid_casadi.cli.main import main
 from lieid_casadi.errors import LargeFileWarning, OutputError, RecordingError
 from lieid_casadi.recording import Recording, process
 from lieid_casadi.recording.readers import parquet_file
@@ -134,19 +132,6 @@ def test_archive_faults(tmp_path):
         Recording.load(file)
 
 
-def test_parquet_faults(tmp_path):
-    file = tmp_path / "run.parquet"
-    file.write_text("t,q1\n")
-    with pytest.raises(RecordingError, match="not a Parquet file"):
-        Recording.load(file)
-    pd.DataFrame({"t": [0.0, 1.0], "q1": [0.0, None]}).to_parquet(file)
-    with pytest.raises(RecordingError, match="row 2, column q1: found nan"):
-        Recording.load(file)
-    pd.DataFrame({"t": [0.0, 1.0], "q2": [0.0, 1.0]}).to_parquet(file)
-    with pytest.raises(RecordingError, match="column q1 is missing"):
-        Recording.load(file)
-
-
 def test_saving_elsewhere_fails_in_one_line(tmp_path):
     with pytest.raises(RecordingError, match=r"expected \.csv"):
         measured(duration=1).save(tmp_path / "run.txt")
@@ -156,35 +141,6 @@ def test_saving_elsewhere_fails_in_one_line(tmp_path):
 
 
 # -- Options of the command line for reading and processing recordings --
-
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    """The same run in SI units and in degrees and milliseconds, gzipped."""
-    folder = tmp_path_factory.mktemp("runs")
-    run = measured(duration=6.0, rate=100.0)
-    run.save(folder / "si.csv.gz")
-    lieid.Recording.from_arrays(1e3 * run.t, np.rad2deg(run.q), np.rad2deg(run.dq), run.tau).save(
-        folder / "degrees.csv.gz"
-    )
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        ("degrees.csv.gz", [], "look like milliseconds; if they are, convert with --units ms"),
-        ("degrees.csv.gz", ["--units", "ms"], "convert with --units deg"),
-        ("si.csv.gz", ["--units", "yards"], "found 'yards', expected some of rad, deg, s, ms"),
-    ],
-)
-def test_refusals(files, capsys, name, options, message):
-    arguments = ["two_link", str(files / name), "-o", str(files / "fit.json")]
-    assert main(["identify", *arguments, *options]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-    assert not (files / "fit.json").exists()
 
 
 @pytest.fixture
@@ -221,22 +177,6 @@ def test_part_of_a_file(run, part, first, last):
 def test_bad_part(run, part, expected):
     with pytest.raises(RecordingError, match=expected):
         Recording.load(f"{run}{part}")
-
-
-def without(recording, low, high):
-    keep = (recording.t < low) | (recording.t >= high)
-    return Recording.from_arrays(
-        recording.t[keep], recording.q[keep], recording.dq[keep], recording.tau[keep]
-    )
-
-
-@given(st.floats(1.0, 8.0), st.floats(0.1, 1.0))
-def test_segments_end_at_gaps_and_lose_no_row(start, length):
-    recording = without(measured(duration=10, rate=100, noise=0), start, start + length)
-    segments = recording.segments()
-    assert len(segments) == 2
-    assert max(np.diff(s.t).max() for s in segments) < 0.0101
-    np.testing.assert_array_equal(np.concatenate([s.q for s in segments]), recording.q)
 
 
 def test_segments_end_where_the_payload_changes():

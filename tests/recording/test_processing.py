@@ -25,15 +25,6 @@ def processed():
     return one(measured(), cutoff=5.0)
 
 
-def test_motion_is_recovered(processed):
-    inner = slice(100, -100)
-    q, dq, ddq = motion(processed.t)
-    np.testing.assert_allclose(processed.q[inner], q[inner], atol=2e-4)
-    np.testing.assert_allclose(processed.dq[inner], dq[inner], atol=8e-3)
-    error = (processed.filter(processed.ddq) - processed.filter(ddq)).std(axis=0)
-    assert np.all(error < 0.01 * ddq.std(axis=0))
-
-
 def test_the_same_friction_comes_back_from_regular_and_irregular_stamps():
     for jitter in (0.0, 0.9):
         p = one(measured(jitter=jitter), cutoff=6.0)
@@ -205,15 +196,3 @@ def test_acceleration_under_commands_is_not_too_small_at_a_low_rate():
     (p,) = process(Recording.from_arrays(t, q, tau=q, command=q), Processing(cutoff=5.0))
     inner = slice(50, -50)
     np.testing.assert_allclose(p.ddq[inner], -(w**2) * p.q[inner], atol=1e-3 * w**2)
-
-
-def test_dead_zone_of_a_derivative_is_that_of_the_filtered_one():
-    """A count per sample is no noise: the filter lets little of it through."""
-    fine = bare(at_rate(1000, noise=0.0, quantum=COUNT))
-    (p,) = process(fine, Processing(cutoff=5.0))
-    top = np.percentile(np.abs(p.dq), 99, axis=0)
-    np.testing.assert_allclose(p.dead_zone, 3e-3 * top, rtol=0.3)
-    # all but one in a hundred samples of a joint at rest are in it
-    held = Recording.from_arrays(fine.t, np.where(fine.t[:, None] > 10.0, fine.q[10_000], fine.q))
-    (p,) = process(held, Processing(cutoff=5.0))
-    assert np.mean(p.moving[p.t > 10.5]) < 0.01

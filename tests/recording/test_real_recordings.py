@@ -53,13 +53,3 @@ def test_it_is_processed_without_options(run):
     assert lowest <= processed.cutoff <= highest
     assert processed.rate < 30 * processed.cutoff or processed.rate < 110
     assert np.all(np.isfinite(processed.filter(processed.tau)))
-
-
-def test_the_dwells_of_point_to_point_are_rest(recordings):
-    recording = loaded(recordings / "ur10e/point_to_point.csv.gz")
-    (processed,) = process(recording)
-    moving = processed.filtered_moving.mean(axis=0)
-    # joints 1 to 4 hardly stop, 5 and 6 wait for others
-    assert np.all(moving[:4] > 0.98)
-    assert 0.7 < moving[4] < 0.95
-    assert 0.3 < moving[5] < 0.6

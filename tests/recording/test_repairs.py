@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from real_arms import PANDA, needs
 from recording.planar_arm import measured, motion, rigid_torque
 
 from lieid_casadi.errors import (
@@ -205,12 +204,3 @@ def test_rest_and_coarse_signals_are_no_repeats():
     assert not repeats(coarse).any()
     (segment,) = process(still, Processing(cutoff=3.0))
     assert not segment.warnings
-
-
-@pytest.mark.real
-@needs(PANDA / "excitation.csv.gz")
-def test_the_panda_was_recorded_faster_than_its_source():
-    recording = Recording.load(PANDA / "excitation.csv.gz")
-    (segment,) = process(recording, Processing(cutoff=3.0))
-    assert repeats(recording).sum() == 14
-    assert "34.02 ms apart" in str(segment.warnings[0])

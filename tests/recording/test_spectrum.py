@@ -2,15 +2,12 @@ import numpy as np
 import pytest
 from recording.planar_arm import PERIOD, measured, motion
 
-from lieid_casadi.errors import RecordingError
 from lieid_casadi.recording import (
-    Processing,
     Recording,
     choose_cutoff,
     detect_period,
     noise_dead_zone,
     period_noise,
-    process,
 )
 from lieid_casadi.recording.spectrum import motion_band
 
@@ -82,11 +79,3 @@ def test_dead_zone_is_three_sigma_of_the_noise(noise):
     dq = motion(t)[1] * 0.1 + noise * random.normal(size=(4000, 2))
     np.testing.assert_allclose(noise_dead_zone(dq), 3 * noise, rtol=0.1)
     np.testing.assert_allclose(noise_dead_zone(dq, kept=0.25), 1.5 * noise, rtol=0.1)
-
-
-def test_a_few_milliseconds_at_a_high_rate_are_too_short():
-    """Decimation leaves fewer rows than a derivative takes; found by the fuzzer."""
-    t = 5e-5 * np.arange(80)
-    q = np.column_stack([np.sin(500.0 * t), np.cos(500.0 * t)])
-    with pytest.raises(RecordingError, match="too short"):
-        process(Recording.from_arrays(t, q, tau=q), Processing())

@@ -163,10 +163,3 @@ def test_torque_that_is_zero_throughout_is_named(good, joints, text):
     warnings = [w for w in check(replace(good, tau=tau)) if isinstance(w, ConstantTorqueWarning)]
     assert len(warnings) == 1
     assert f"torque of {text} is 0 N·m in every row" in str(warnings[0])
-
-
-def test_stamps_of_arrival_leave_no_part_and_the_error_says_so():
-    run = measured(duration=4.0, rate=100.0)
-    t = np.floor(run.t / 0.1) * 0.1 + 1e-4 * (np.arange(len(run)) % 10)
-    with pytest.raises(RecordingError, match="parts between gaps in time are: check the stamps"):
-        process(replace(run, t=np.sort(t) + 1e-8 * np.arange(len(run))))

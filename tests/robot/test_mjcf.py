@@ -216,10 +216,3 @@ def test_fingers_are_locked_at_the_keyframe_and_add_their_mass(tmp_path, options
     full = torque(path, [*q, 0.03, 0.01], [*dq, 0, 0], [*ddq, 0, 0])
     found = arm.inverse_dynamics(*np.array([q, dq, ddq])[:, None], robot.link_parameters)[0]
     np.testing.assert_allclose(found, full[:2], rtol=1e-9)
-
-
-def test_an_unknown_joint_to_lock(tmp_path):
-    path = tmp_path / "arm.xml"
-    path.write_text(model(FINGERS))
-    with pytest.raises(RobotError, match="no joint 'finger'; joints are j, wrist, fl, fr"):
-        lieid.Robot.load(path, lock=["finger"])

@@ -13,7 +13,6 @@ from robot.random_arms import (
 from scipy.spatial.transform import Rotation
 
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.yaml_file import write_yaml
 
 
 def urdf_of(robot):
@@ -59,25 +58,6 @@ def origin(pose):
 
 def text(values):
     return " ".join(repr(float(value)) for value in values)
-
-
-@pytest.mark.parametrize("seed", range(0, 8, 2))
-def test_urdf_and_yaml_agree(seed, tmp_path):
-    rng = np.random.default_rng(seed)
-    arm = random_arm(rng, 1 + seed, off_origin=False)
-    (tmp_path / "arm.urdf").write_text(urdf_of(arm))
-    (tmp_path / "arm.yaml").write_text(write_yaml(arm))
-    one, two = Robot.load(tmp_path / "arm.urdf"), Robot.load(tmp_path / "arm.yaml")
-
-    assert one.name == two.name
-    np.testing.assert_allclose(one.tool, two.tool, rtol=0, atol=1e-12)
-    for left, right in zip(one.joints, two.joints, strict=True):
-        assert (left.name, left.revolute) == (right.name, right.revolute)
-        for name in ("position_lower", "position_upper", "velocity", "torque"):
-            assert getattr(left.limits, name) == getattr(right.limits, name)
-        np.testing.assert_allclose(left.screw, right.screw, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(left.home, right.home, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(left.link, right.link, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(0, 8, 2))

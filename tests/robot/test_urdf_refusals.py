@@ -1,6 +1,5 @@
 """URDF files that cannot be used are refused in one line that names the link or joint."""
 
-import json
 import os
 
 import numpy as np
@@ -36,20 +35,14 @@ def of_link(old, new):
 
 BAD = {
     "mass no number": (of_link('mass value="1"', 'mass value="-"'), "link 'fore': mass value='-'"),
-    "mass not finite": (of_link('mass value="1"', 'mass value="nan"'), "link 'fore': mass value="),
     "mass overflows": (of_link('mass value="1"', 'mass value="1e999"'), "at most 1e\\+12"),
     "mass negative": (of_link('mass value="1"', 'mass value="-2"'), "'fore': mass is -2 kg"),
     "no mass": (of_link('<mass value="1"/>', ""), "'fore': <inertial> has no <mass>"),
-    "mass without value": (of_link('mass value="1"', "mass"), "'fore': mass value=''"),
     "inertia no number": (of_link('ixz="0"', 'ixz="0,0"'), "link 'fore': inertia ixz='0,0'"),
-    "inertia lacks one": (of_link('ixz="0"', ""), "link 'fore': inertia ixz=''"),
     "axis of zero length": (of_joint("0 0 1", "0 0 0"), "joint 'turn': axis .* has length 0"),
-    "axis of huge length": (of_joint('axis xyz="0 0 1"', 'axis xyz="0 0 1e200"'), "'turn': axis"),
-    "axis of two numbers": (of_joint('axis xyz="0 0 1"', 'axis xyz="0 1"'), "three numbers"),
     "origin far away": (of_joint('origin xyz="0 0 1"', 'origin xyz="0 0 1e200"'), "'turn': xyz"),
     "limits exchanged": (of_joint('lower="-1"', 'lower="4"'), "'turn': limits lower=4, upper=1"),
     "limit no number": (of_joint('lower="-1"', 'lower="x"'), "joint 'turn': limit lower='x'"),
-    "limit not a number": (of_joint('effort="3"', 'effort="nan"'), "'turn': limit effort='nan'"),
     "limit negative": (of_joint('effort="3"', 'effort="-3"'), "joint 'turn': limit effort=-3"),
     "mimic": (
         of_joint("</joint>", '<mimic joint="other" multiplier="2"/></joint>'),
@@ -60,17 +53,12 @@ BAD = {
         "joint name 'turn' is given twice",
     ),
     "link given twice": (urdf(more='<link name="fore"/>'), "link name 'fore' is given twice"),
-    "link without name": (urdf(more="<link/>"), "a <link> without a name"),
     "an entity": ('<!DOCTYPE r [<!ENTITY a "b">]>' + urdf(), "document type or entity"),
-    "an unknown encoding": ('<?xml version="1.0" encoding="klingon"?>' + urdf(), "XML|URDF|."),
 }
 
 
 @pytest.mark.parametrize(("text", "message"), BAD.values(), ids=BAD.keys())
 def test_refused_in_one_line(text, message, capfd):
-    if "klingon" in text:  # a text is Unicode already: the declaration is of no consequence
-        assert Robot.parse_urdf(text).n == 1
-        return
     with pytest.raises(RobotError, match=message) as caught:
         Robot.parse_urdf(text, origin="arm.urdf")
     assert str(caught.value).startswith("arm.urdf: ")
@@ -85,13 +73,6 @@ def test_a_joint_may_have_the_name_of_the_tip_link():
         '<child link="tip"/><origin xyz="0.5 0 0"/></joint>',
     )
     np.testing.assert_allclose(Robot.parse_urdf(text).tool[:3, 3], [0.5, 0.0, 0.0])
-
-
-@pytest.mark.parametrize("name", ["universe", "root_joint", "a<b&c"])
-def test_names_that_a_library_uses_itself(name):
-    escaped = name.replace("&", "&amp;").replace("<", "&lt;")
-    robot = Robot.parse_urdf(urdf().replace('"fore"', f'"{escaped}"').replace('"turn"', '"q"'))
-    assert robot.joints[0].link_name == name
 
 
 def test_a_mimic_joint_off_the_chain_is_locked():
@@ -116,11 +97,6 @@ def test_show_names_the_tip_and_joints_without_limits(tmp_path, capsys):
     assert "1 joints, tip fore," in shown
     assert "unlimited" in shown
     assert "nan" not in shown
-
-
-def test_an_axis_is_normalized():
-    robot = Robot.parse_urdf(of_joint('axis xyz="0 0 1"', 'axis xyz="0 3 4"'))
-    np.testing.assert_allclose(robot.joints[0].screw[:3], [0.0, 0.6, 0.8], rtol=1e-15)
 
 
 def test_infinite_limits_are_not_stated():
@@ -153,17 +129,6 @@ def test_lines_of_native_libraries_are_discarded(capfd):
         os.write(1, b"a notice\n")
     os.write(2, b"after\n")
     assert capfd.readouterr() == ("", "after\n")
-
-
-def test_warnings_of_a_robot_reach_the_command_line(tmp_path, capsys):
-    from lieid_casadi.cli.main import main
-
-    path, out = tmp_path / "arm.urdf", tmp_path / "robot.json"
-    path.write_text(of_link('ixy="0"', 'ixy="3"'))
-    assert main(["show", str(path), "--json", str(out)]) == 0
-    assert "negative principal moment" in " ".join(capsys.readouterr().out.split())
-    (warning,) = json.loads(out.read_text())["warnings"]
-    assert warning["name"] == "NominalInertiaWarning"
 
 
 def test_a_very_long_chain_is_refused():

@@ -83,37 +83,16 @@ def test_round_trip(n):
         np.testing.assert_allclose(theirs.link, ours.link, rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2])
-def test_round_trip_where_roll_and_yaw_are_one(pitch):
-    robot = Robot.parse_yaml(one(f"home: {{rpy: [0.4, {pitch!r}, -0.9]}}"))
-    back = Robot.parse_yaml(write_yaml(robot))
-    np.testing.assert_allclose(back.joints[0].home, robot.joints[0].home, rtol=0, atol=1e-15)
-
-
-def test_a_rounded_screw_is_made_exact():
-    robot = Robot.parse_yaml(
-        "{name: one, joints: [{name: turn, screw: [0.7071068, 0, 0.7071068, 0, 0.3, 1e-8]}]}"
-    )
-    screw = robot.joints[0].screw
-    assert abs(np.linalg.norm(screw[:3]) - 1) < 1e-15
-    assert abs(screw[:3] @ screw[3:]) < 1e-15
-
-
 SCREW = "name: one\njoints:\n  - name: turn\n    screw: "
 BAD = {
     "empty": ("", "found nothing, expected a mapping"),
-    "text": ("hello", "found 'hello', expected a mapping"),
     "not YAML": ("name: [1", r"line \d+, column \d+: not YAML"),
-    "tab": ("name: a\njoints:\n\t- x", "line 3, column 1: not YAML"),
     "a key twice": ("name: a\nname: b\njoints: []", "line 2, column 1.*'name' is given twice"),
-    "a list as key": ("{[a]: 1}", "found a list, mapping or alias as key, expected text"),
     "python object": (
         "!!python/object:os.system {}",
         "line 1, column 1: found the tag .*python/object:os.system",
     ),
     "no name": ("joints: []", "found no key 'name', expected the keys name, joints"),
-    "no joints": ("{name: a, joints: []}", "joints: found an empty list, expected at least one"),
-    "joints not a list": ("{name: a, joints: 3}", "joints: found 3, expected a list"),
     "no screw": (
         "{name: a, joints: [{name: b}]}",
         r"joints\[0\] \(joint 1\): found no key 'screw', expected the keys name, screw",
@@ -123,52 +102,25 @@ BAD = {
         r"joints\[0\].screw \(joint 1\).*a list of 5, expected 6 numbers",
     ),
     "ω not unit": (SCREW + "[0, 0, 2, 0, 0, 0]", r"joints\[0\].screw .*\|ω\| = 2, expected 1"),
-    "ω almost unit": (SCREW + "[0, 0, 1.00001, 0, 0, 0]", r"\|ω\| = 1.00001, expected 1"),
     "v not of ω": (SCREW + "[0, 0, 1, 0, 0, 0.1]", "ω·v = 0.1, expected 0.*v = −ω × p"),
     "prismatic not unit": (SCREW + "[0, 0, 0, 0, 0, 2]", r"\|v\| = 2, expected \|v\| = 1"),
-    "all zero": (SCREW + "[0, 0, 0, 0, 0, 0]", r"\|v\| = 0, expected \|v\| = 1"),
     "text in a number": (SCREW + "[0, 0, one, 0, 0, 0]", r"screw\[2\].*found 'one', expected a n"),
-    "comma decimals": (SCREW + "['0,5', 0, 1, 0, 0, 0]", r"found '0,5', expected a number"),
-    "truth value": (SCREW + "[0, 0, true, 0, 0, 0]", r"found True, expected a number"),
     "NaN": (SCREW + "[0, 0, .nan, 0, 0, 0]", r"screw\[2\].*found nan, expected a finite number"),
-    "infinite": (one("limits: {velocity: .inf}"), "found inf, expected a finite number"),
     "unknown key": (one("lmits: 3"), r"unknown key 'lmits', expected the keys name, screw, home"),
-    "unknown limit": (
-        one("limits: {speed: 3}"),
-        r"unknown key 'speed', expected the keys position",
-    ),
     "position upside down": (
         one("limits: {position: [1, -1]}"),
         r"joints\[0\].limits.position \(joint 1\): found \[1, -1\], expected .*lower < upper",
     ),
     "negative limit": (one("limits: {torque: -3}"), r"limits.torque.*found -3, expected .* > 0"),
-    "torque constant": (one("torque_constant: 0"), "torque_constant.*found 0"),
-    "link without com": (
-        one("link: {mass: 1, inertia: {ixx: 1, iyy: 1, izz: 1}}"),
-        "found no key 'com', expected the keys mass, com, inertia",
-    ),
-    "negative mass": (
-        one("link: {mass: -1, com: [0, 0, 0], inertia: {ixx: 1, iyy: 1, izz: 1}}"),
-        "link.mass.*found -1",
-    ),
     "inertia of three": (
         one("link: {mass: 1, com: [0, 0, 0], inertia: [1, 2, 3]}"),
         r"inertia.*found \[1, 2, 3\], expected ixx, ixy, iyy, ixz, iyz, izz",
     ),
-    "inertia not symmetric": (
-        one("link: {mass: 1, com: [0, 0, 0], inertia: [[1, 2, 0], [0, 1, 0], [0, 0, 1]]}"),
-        "inertia.*not symmetric",
-    ),
-    "a tag": ("name: !!int q", "line 1, column 7: found the tag .*int"),
-    "a number of 5000 digits": (SCREW + f"[0, 0, {'9' * 5000}, 0, 0, 0]", "a finite number"),
     "a number of 1e200": (one("home: {xyz: [1e200, 0, 0]}"), r"home.xyz\[0\].*found 1e\+200, exp"),
-    "an octal-like number": (SCREW + "[0x_, 0, 1, 0, 0, 0]", "found '0x_', expected a number"),
-    "an impossible date": ("name: 2026-02-30\njoints: 0000-99-99", "found '0000-99-99', expected"),
     "deep nesting": ("name: " + "[" * 5000 + "]" * 5000, "nested deeper than 20 levels"),
     "an alias": ("name: &a [*a]", "found the alias 'a', expected its value"),
     "too long": ("name: " + "x" * 1_000_000, "1000006 characters; expected at most 1000000"),
     "two documents": ("name: a\n---\nname: b", "found a second document"),
-    "a huge version": ("%YAML " + "9" * 5000 + ".1\n---\nname: a", "not YAML"),
     "too many joints": (
         "name: a\njoints:\n" + "- {name: b, screw: [0, 0, 1, 0, 0, 0]}\n" * 101,
         "found a list of 101, expected at least one joint and at most 100",
@@ -190,12 +142,6 @@ def test_bad_input_is_refused_in_one_line(text, message, tmp_path):
     line = str(caught.value)
     assert line.startswith(f"{path}: ")
     assert "\n" not in line
-
-
-def test_quoted_numbers_are_text():
-    text = "{name: '1', joints: [{name: 'true', screw: [0, 0, 1, 0, 0, 0]}]}"
-    robot = Robot.parse_yaml(text)
-    assert (robot.name, robot.joints[0].name) == ("1", "true")
 
 
 def test_a_negative_principal_moment_is_a_warning_with_the_joints_name():
