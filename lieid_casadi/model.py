@@ -36,20 +36,15 @@ def as_model(source: Model | Robot) -> Model:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a model: of a link, or a coefficient or shape parameter of an effect.
-
-    ``joint`` counts from 0; bounds are those of the physics, infinite where there are none.
-    ``fitted`` is False for a shape parameter that the training recordings give, such as the end
-    of a signal's range.
-    """
+    """A parameter of a model: of a link, or a coefficient or shape parameter of an effect."""
 
     name: str
-    joint: int
+    joint: int  # from 0
     unit: str
-    lower: float = -np.inf
+    lower: float = -np.inf  # bounds of the physics
     upper: float = np.inf
     initial: float = 0.0
-    fitted: bool = True
+    fitted: bool = True  # False for what the training gives, such as the end of a signal's range
 
     @property
     def label(self) -> str:

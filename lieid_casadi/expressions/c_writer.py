@@ -33,16 +33,11 @@ class UnsupportedOperation(LieidError):
 
 @dataclass(frozen=True)
 class Dialect:
-    """How C is written.
+    """How C is written."""
 
-    ``declaration`` stands before the name of a new value, such as ``const double``; ``patterns``
-    are CasADi's operations as C with ``{0}`` and ``{1}`` for their operands; ``number`` returns the
-    C of a constant.
-    """
-
-    declaration: str
-    patterns: Mapping[str, str]
-    number: Callable[[float], str]
+    declaration: str  # before the name of a new value, such as const double
+    patterns: Mapping[str, str]  # of CasADi's operations, with {0} and {1} for operands
+    number: Callable[[float], str]  # returns the C of a constant
 
 
 @dataclass(frozen=True)
@@ -57,12 +52,9 @@ class Input:
 
 @dataclass(frozen=True)
 class Statements:
-    """The statements of a function: ``lines``, of so many ``operations``.
+    """The statements of a function: ``lines``, of so many ``operations``."""
 
-    ``inputs`` are those that are used, in the order of their first use.
-    """
-
-    inputs: tuple[Input, ...]
+    inputs: tuple[Input, ...]  # those that are used, in the order of their first use
     lines: tuple[str, ...]
     operations: int
 

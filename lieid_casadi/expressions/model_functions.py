@@ -23,11 +23,7 @@ SIGNAL_NAMES = ("q", "dq", "ddq", "load", "temperature", "time", "command_error"
 
 @dataclass(frozen=True)
 class SparseFunction:
-    """A function whose matrix result is returned as its structural nonzeros (nnz,).
-
-    ``function`` maps its inputs to the vector of nonzeros; entry k belongs to
-    ``rows[k], columns[k]`` of a matrix of ``shape``.
-    """
+    """A function that returns the nonzeros (nnz,) at ``rows, columns`` of a matrix of ``shape``."""
 
     function: ca.Function
     rows: NDArray[np.intp]

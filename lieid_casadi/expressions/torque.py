@@ -25,18 +25,14 @@ from lieid_casadi.model import Model
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Link parameters (10 n,), effect coefficients (m,) and shapes (s,): numbers or symbols.
+    """Parameters of a model: numbers or symbols."""
 
-    ``temperature_mean`` (n,) in °C is subtracted from the temperature; None: it is relative.
-    ``free`` are groups of parameters that are symbols while the others are numbers, by the name of
-    their input.
-    """
-
-    parameters: ca.SX
-    effects: ca.SX
-    shapes: ca.SX
+    parameters: ca.SX  # (10 n,) of the links
+    effects: ca.SX  # (m,) coefficients
+    shapes: ca.SX  # (s,)
     numeric: bool
-    temperature_mean: Array | None = None
+    temperature_mean: Array | None = None  # (n,) °C, subtracted from the temperature
+    #: groups that are symbols while the others are numbers, by the name of their input
     free: dict[str, FreeGroup] = field(default_factory=dict)
 
     @classmethod

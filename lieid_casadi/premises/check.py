@@ -10,8 +10,8 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
-from lieid_casadi.errors import ModelError
 from lieid_casadi.identification import Fit
+from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.model import Model
 from lieid_casadi.premises import joints, match, mounting, samples, timing, torque_signal
 from lieid_casadi.premises.correction import Correction, for_recording, with_all_remedies
@@ -102,15 +102,13 @@ def check(
 
     Raises
     ------
-    ModelError
-        Another number of joints, or no torque.
-    RecordingError
-        No recording is long enough.
+    ModelError, IdentificationError, RecordingError
+        Another number of joints, no torque, no recording that is long enough.
     """
     model = robot.model if isinstance(robot, Fit) else robot
     arm = model if isinstance(model, Robot) else model.robot
     given, tests = listed(recordings), listed(test)
-    _require(arm, given)
+    check_recordings(Model(arm), given)
     report = progress or (lambda stage, fraction: None)
     report("samples", 0.0)
     state = _State.of(arm, given)
@@ -171,21 +169,6 @@ def _nothing_to_fit(s: Samples) -> str | None:
     if len(s.t) * float(np.median(np.diff(s.t))) < SHORTEST:
         return f"the recordings are shorter than {SHORTEST + 1.0:g} s"
     return None
-
-
-def _require(robot: Robot, given: Sequence[Recording]) -> None:
-    if not given:
-        raise ModelError("no recordings given; expected at least one")
-    for recording in given:
-        if recording.n != robot.n:
-            raise ModelError(
-                f"{recording.title}: {recording.n} joints; robot {robot.name!r} has {robot.n}"
-            )
-        if recording.tau is None:
-            raise ModelError(
-                f"{recording.title}: no torque; expected columns tau1…tau{robot.n}, or currents "
-                "with torque constants"
-            )
 
 
 @dataclass(frozen=True, eq=False)

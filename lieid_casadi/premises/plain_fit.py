@@ -51,24 +51,18 @@ PER_ROW = ("t", "q", "dq", "ddq", "tau", "moving", "part", "segment", "measured"
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Low-passed signals of an arm at N instants; arrays (N, n) in SI units.
+    """Low-passed signals of an arm at N instants; arrays (N, n) in SI units."""
 
-    ``moving`` is False where a joint rests: its friction is undetermined there. ``part`` (N,) is
-    the held-out part of each instant, ``segment`` (N,) the uninterrupted stretch that it belongs
-    to, ``measured`` (N, n) the recorded velocity (NaN without), and ``window`` the length of the
-    low-pass filter, s.
-    """
-
-    t: Array
+    t: Array  # (N,)
     q: Array
     dq: Array
     ddq: Array
     tau: Array
-    moving: Mask
-    part: Index
-    segment: Index
-    measured: Array
-    window: float
+    moving: Mask  # False where a joint rests: its friction is undetermined there
+    part: Index  # (N,) held-out part
+    segment: Index  # (N,) uninterrupted stretch
+    measured: Array  # recorded velocity, NaN without
+    window: float  # length of the low-pass filter, s
 
     @property
     def n(self) -> int:
@@ -165,15 +159,11 @@ def _low_passed_sign(dq: Array, ddq: Array, window: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Columns of the free fit, and their products per joint and held-out part.
+    """Columns of the free fit, and their products per joint and held-out part."""
 
-    A row of ``pieces`` holds joint, part, the numbers of the columns that act, the instants that
-    are used, and the columns (c, M). ``matrix`` (n, P, p, p) has the products of the base
-    parameters' columns and, last, the joint's own ones.
-    """
-
+    #: joint, part, numbers of the columns that act, instants that are used, the columns (c, M)
     pieces: tuple[tuple[int, int, Index, Index, Array], ...]
-    matrix: Array
+    matrix: Array  # (n, P, p, p) products of the base parameters' columns and the joint's own
 
     def equations(self, tau: Array) -> Equations:
         """Return the normal equations for torques (N, n)."""
@@ -205,16 +195,12 @@ def design(columns: Array, s: Samples, links: Index, *, parts: bool) -> Design:
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Normal equations of the free fit, one per joint and part.
+    """Normal equations of the free fit, one per joint and part."""
 
-    ``matrix`` (n, P, p, p), ``vector`` (n, P, p), ``square`` and ``count`` (n, P): products of the
-    columns, of columns and torque, of the torque, and instants.
-    """
-
-    matrix: Array
-    vector: Array
-    square: Array
-    count: Array
+    matrix: Array  # (n, P, p, p) products of the columns
+    vector: Array  # (n, P, p) products of columns and torque
+    square: Array  # (n, P) product of the torque
+    count: Array  # (n, P) instants
 
     @cached_property
     def products(self) -> tuple[Array, Array]:
@@ -293,18 +279,13 @@ def _inverse_size(squares: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FreeFit:
-    """Least-squares fit of all base parameters.
+    """Least-squares fit of all base parameters; RMS errors (n,), N·m."""
 
-    ``base`` (k,), ``own`` (n, OWN) the joints' own parameters; RMS errors per joint (n,), N·m:
-    ``error`` of the fit, ``held_out``. ``own_without`` (P, n, OWN) are those of the fits without
-    one part each.
-    """
-
-    base: Array
-    own: Array
+    base: Array  # (k,)
+    own: Array  # (n, OWN) parameters of the joints
     error: Array
     held_out: Array
-    own_without: Array
+    own_without: Array  # (P, n, OWN) of the fits without one part each
 
 
 def free_fit(given: Equations) -> FreeFit:
@@ -337,17 +318,12 @@ def _error(given: Equations, parameters: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class StatedFit:
-    """Fit with stated inertias, per joint (n,).
+    """Fit with stated inertias, per joint (n,); errors in N·m."""
 
-    ``error`` is with a factor from 0.5 to 2 on their torque, ``own`` without the rigid body, N·m;
-    ``gain`` is the factor without bounds (NaN where unknown) and ``share`` the RMS of the stated
-    torque that own columns do not explain, N·m.
-    """
-
-    error: Array
-    own: Array
-    gain: Array
-    share: Array
+    error: Array  # with a factor from 0.5 to 2 on their torque
+    own: Array  # without the rigid body
+    gain: Array  # the factor without bounds, NaN where unknown
+    share: Array  # RMS of the stated torque that own columns do not explain, N·m
 
 
 def stated_fit(given: Equations, parameters: Array) -> StatedFit:

@@ -23,20 +23,15 @@ ANY_GRAVITY = np.array([3.0, 5.0, -7.0])
 
 @dataclass(frozen=True, eq=False)
 class RigidArm:
-    """The kept link parameters of an arm, and the constants of its joints.
-
-    ``combination`` (k, 10 n) gives base parameters for gravity in any direction. Per joint:
-    ``poses`` (12, 3) are rotation and position of its link frame in the frame before
-    it, over 1, sin q, 1 − cos q (a prismatic one: 1, q, 0); ``own`` are the numbers of its link's
-    columns, and ``wrenches`` (6 k, 12) force and moment of these, see `WRENCHES`.
-    """
+    """The kept link parameters of an arm, and the constants of its joints."""
 
     robot: Robot
     kept: Index
-    combination: Array
+    combination: Array  # (k, 10 n) gives base parameters for gravity in any direction
+    #: (12, 3) of each joint: pose in the frame before, over 1, sin q, 1 − cos q (or 1, q, 0)
     poses: tuple[Array, ...]
-    own: tuple[Index, ...]
-    wrenches: tuple[Array, ...]
+    own: tuple[Index, ...]  # numbers of the columns of each link
+    wrenches: tuple[Array, ...]  # (6 k, 12) force and moment of these, see `WRENCHES`
 
     @classmethod
     def of(cls, robot: Robot) -> RigidArm:

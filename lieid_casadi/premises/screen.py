@@ -37,37 +37,27 @@ TOGETHER = 8
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """A hypothesis on robot and recording other than the given one.
-
-    ``joints`` (from 0, at most three) are those that it concerns, ``value`` its value for JSON,
-    ``what`` a clause that states it, ``remedy`` the option or edit that corrects it. ``cost`` is
-    the decrease of the score that its free values are worth. ``small`` marks a value within the
-    range of an effect of the library, ``discrete`` an alternative without free values.
-    """
+    """A hypothesis on robot and recording other than the given one."""
 
     premise: str
-    joints: tuple[int, ...]
-    value: Mapping[str, Any]
-    what: str
-    remedy: str
+    joints: tuple[int, ...]  # from 0, at most three, that it concerns
+    value: Mapping[str, Any]  # for JSON
+    what: str  # a clause that states it
+    remedy: str  # the option or edit that corrects it
     correction: Correction
-    cost: float = 0.0
-    small: bool = False
-    discrete: bool = False
+    cost: float = 0.0  # decrease of the score that its free values are worth
+    small: bool = False  # whether its value is within the range of an effect of the library
+    discrete: bool = False  # whether it has no free values
 
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """RMS errors (n,) of the plain fits, N·m, and the torque's own RMS about its mean.
-
-    ``friction`` (P, n) is the mean power that friction takes from each joint in the fits without
-    one part each, relative to the mean magnitude of the joint's power; 0 of a quick comparison.
-    """
+    """The plain fits, and what their errors are relative to."""
 
     free: FreeFit
     stated: StatedFit | None
-    scale: Array
-    friction: Array
+    scale: Array  # (n,) the torque's own RMS about its mean, N·m
+    friction: Array  # (P, n) part of the joints' power that friction takes in fits without a part
 
     @property
     def driven(self) -> Array:

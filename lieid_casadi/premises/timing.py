@@ -110,10 +110,9 @@ def with_measured_velocity(s: Samples) -> Samples:
 
 
 def jump(s: Samples) -> tuple[Finding, Mask] | None:
-    """Return where positions and recorded velocity contradict each other at one instant, or None.
+    """Return where an encoder lost counts, or None.
 
-    As where an encoder loses counts: the velocity explains the motion before and after it. The
-    mask (N,) leaves out that instant, and the shorter side of a position that jumps.
+    The velocity explains the motion before and after it. The mask (N,) leaves out the shorter side.
     """
     if not np.all(np.isfinite(s.measured)):
         return None
@@ -130,17 +129,16 @@ def jump(s: Samples) -> tuple[Finding, Mask] | None:
     near = own & (np.abs(s.t - t) < 2.0 * s.window)
     way = np.abs(np.trapezoid((s.dq - s.measured)[near], s.t[near], axis=0))
     names = ", ".join(str(j + 1) for j in joints)
-    what = "and hardly elsewhere, the recorded velocity is not the derivative of the position"
-    certain = bool(way.max() > LEAST_JUMP)
-    if certain:
-        what = f"the position jumps by {way.max():.2g} rad, of which the velocity shows nothing"
-        before, after = own & (s.t < t), own & (s.t > t)
-        near |= before if before.sum() < after.sum() else after
+    if way.max() < LEAST_JUMP:
+        return None
+    before, after = own & (s.t < t), own & (s.t > t)
+    near |= before if before.sum() < after.sum() else after
     finding = Finding(
         "velocity_signal", tuple(joints.tolist()), {"seconds": 0.0},
-        f"At t = {t:.4g} s, {what} (joint {names}).",
+        f"At t = {t:.4g} s, the position jumps by {way.max():.2g} rad, of which the velocity shows "
+        f"nothing (joint {names}).",
         f"use the parts before and after: REC@:{t - s.window:.4g} or REC@{t + s.window:.4g}:",
-        certain=certain,
+        certain=True,
     )  # fmt: skip
     return finding, ~near
 

@@ -85,18 +85,15 @@ def _array(values: ArrayLike, shape: tuple[int, ...], what: str) -> Array:
 
 @dataclass(frozen=True)
 class RobotSource:
-    """The text from which a robot was read: a fit embeds it, and exports edit it.
+    """The text from which a robot was read: a fit embeds it, and exports edit it."""
 
-    ``kind`` is ``"urdf"``, ``"mjcf"`` or ``"yaml"``; ``tip`` and ``lock`` choose the chain. A
-    MuJoCo model has the files that it includes beside its own (names relative to its folder, its
-    own first), and per joint the name of its body and the link parameters of what moves with it.
-    """
-
-    kind: str
+    kind: str  # urdf, mjcf or yaml
     text: str
-    tip: str | None = None
+    tip: str | None = None  # of the chain
     lock: tuple[str, ...] = ()
+    #: of a MuJoCo model: names, relative to its folder, and texts of it and of what it includes
     files: tuple[tuple[str, str], ...] = ()
+    #: of a MuJoCo model, per joint: name of its body, link parameters of what moves with it
     carried: tuple[tuple[str, tuple[float, ...]], ...] = ()
 
 
