@@ -12,6 +12,7 @@ import logging
 import os
 import stat
 import tempfile
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -87,10 +88,8 @@ def _notice(folder: Path, reason: str) -> None:
 
 def discard(path: Path) -> None:
     """Delete a library that cannot be used."""
-    try:
+    with suppress(OSError):
         path.unlink(missing_ok=True)
-    except OSError as error:
-        logger.debug("%s cannot be deleted: %s", path, error)
 
 
 def _write(folder: Path, key: str, library: bytes) -> Path:

@@ -67,16 +67,8 @@ def discriminate(
         Of one period, s.
     harmonics : int
         Of the Fourier series.
-    start_pose : (n,), optional
-        Where the motion begins and ends at rest, rad. Default: the middle of the joint ranges or,
-        where that is near a limit, a pose that is far from all limits.
-    acceleration : float or (n,), optional
-        Limits in place of the robot's, rad/s². Default: 3 where the robot states none.
-    margin : float
-        Part of the velocity limits, and of the torque limits by default, that is used.
-    limits : sequence of Limit, optional
-        Besides those of the joints. Default: those of `default_limits`, with the torque of the
-        fit; ``()`` leaves all out.
+    start_pose, acceleration, margin, limits
+        As of `excite`.
     starts, evaluations : int
         Number of random motions, and of evaluations of the criterion altogether. Ctrl-C during
         the refinement keeps the best motion so far.

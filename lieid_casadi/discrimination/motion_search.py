@@ -15,6 +15,7 @@ from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation.design import excesses_along, rest_pose
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
+    JointLimits,
     Limit,
     LimitOnArm,
     MotionRange,
@@ -75,7 +76,7 @@ class FeasibleMotions:
 
         The violation is relative to the scale of each limit; negative values are margins.
         """
-        sets = (self.range.constraint_set(), *self.sets)
+        sets = (JointLimits(self.range), *self.sets)
         for _ in range(50):
             trajectory = self.parametrization.trajectory(z)
             worst = max(x.scaled for x in excesses_along(trajectory, sets, self.samples))
@@ -136,7 +137,7 @@ def feasible_motions(
     check_duration(robot, joints, duration)
     made = on_arm(limits, robot, fit)
     sets = sets_of(made)
-    every = (joints.constraint_set(), *sets)
+    every = (JointLimits(joints), *sets)
     pose = rest_pose(robot, joints, every, start_pose)
     parametrization = Parametrization(basis, pose, joints.units)
     return FeasibleMotions(parametrization, joints, sets, made, max(SAMPLES, 8 * basis.size))

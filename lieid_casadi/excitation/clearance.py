@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -135,18 +135,13 @@ class Wall:
     def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """See `Limit`."""
         normal, offset = self.plane
-        motion = Motion.symbols(robot.n)
-        poses = link_poses(robot, motion)
-        distances = []
-        for capsule in self.capsules or capsules_of(robot):
-            if capsule.link == 0:
-                continue
-            for point in (capsule.start, capsule.end):
-                here = _point_in_base(poses[capsule.link], point)
-                value = offset - ca.dot(ca.DM(normal), here) - capsule.radius
-                distances.append(_from(self.name, capsule, value))
+
+        def distances(capsule: Capsule, pose: Pose) -> list[ca.SX]:
+            ends = (_point_in_base(pose, point) for point in (capsule.start, capsule.end))
+            return [offset - ca.dot(ca.DM(normal), here) - capsule.radius for here in ends]
+
         title = f"floor at {-offset:g} m" if self.name == "floor" else self.name
-        return _clearance_set(self.name, title, robot, motion, distances, 0.0)
+        return _distant_from(self, title, robot, distances)
 
 
 def floor(height: float = 0.0, *, capsules: Sequence[Capsule] = ()) -> Wall:
@@ -196,17 +191,12 @@ class Obstacle:
         low, high = np.array(self.lower), np.array(self.upper)
         if not np.all(low < high):
             raise ExcitationError(f"{self.name}: a lower corner is not below the upper one")
-        motion = Motion.symbols(robot.n)
-        poses = link_poses(robot, motion)
-        distances = []
-        for capsule in self.capsules or capsules_of(robot):
-            if capsule.link == 0:
-                continue
-            for point, radius in covering_balls(capsule):
-                here = _point_in_base(poses[capsule.link], point)
-                value = _outside_box(here, low, high) - radius
-                distances.append(_from(self.name, capsule, value))
-        return _clearance_set(self.name, self.name, robot, motion, distances, 0.0)
+
+        def distances(capsule: Capsule, pose: Pose) -> list[ca.SX]:
+            balls = covering_balls(capsule)
+            return [_outside_box(_point_in_base(pose, x), low, high) - r for x, r in balls]
+
+        return _distant_from(self, self.name, robot, distances)
 
 
 def covering_balls(capsule: Capsule) -> list[tuple[Array, float]]:
@@ -242,9 +232,22 @@ def pair_name(a: int, b: int) -> str:
     return " – ".join("base" if link == 0 else f"link {link}" for link in sorted((a, b)))
 
 
-def _from(name: str, capsule: Capsule, value: ca.SX) -> _Distance:
-    subject = link_name(capsule.link)
-    return _Distance(subject, f"distance of {subject} from the {name}", value, capsule.radius)
+def _distant_from(
+    limit: Wall | Obstacle,
+    title: str,
+    robot: Robot,
+    distances: Callable[[Capsule, Pose], list[ca.SX]],
+) -> ConstraintSet:
+    """Return the set of a limit that the distances of all moving capsules are not negative."""
+    motion, found = Motion.symbols(robot.n), list[_Distance]()
+    poses = link_poses(robot, motion)
+    for capsule in limit.capsules or capsules_of(robot):
+        if capsule.link:
+            subject = link_name(capsule.link)
+            label = f"distance of {subject} from the {limit.name}"
+            values = distances(capsule, poses[capsule.link])
+            found += [_Distance(subject, label, value, capsule.radius) for value in values]
+    return _clearance_set(limit.name, title, robot, motion, found, 0.0)
 
 
 def _clearance_set(

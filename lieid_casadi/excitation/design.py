@@ -26,6 +26,7 @@ from lieid_casadi.excitation.criteria import (
 from lieid_casadi.excitation.ipopt import Objective, ObjectiveValue, SampledConstraints
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
+    JointLimits,
     Limit,
     MotionRange,
     check_duration,
@@ -135,7 +136,7 @@ class ExcitationProblem:
         if limits is None:
             limits = default_limits(robot, margin=margin)
         self.limits = on_arm(limits, robot, self.fit)
-        self.sets = (self.range.constraint_set(), *sets_of(self.limits))
+        self.sets = (JointLimits(self.range), *sets_of(self.limits))
         self.pose = rest_pose(robot, self.range, self.sets, start_pose)
         self.parametrization = Parametrization(basis, self.pose, self.range.units)
         self.information = InformationMatrix(

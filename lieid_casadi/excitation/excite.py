@@ -77,10 +77,6 @@ def excite(
     `Excitation.checked` lists what this covered, joint by joint and link by link, and
     `Excitation.unchecked` the rest.
 
-    The torque limit of a fit is that of the identified links with all effects, plus or minus two
-    standard deviations; that of a model without a fit is the rigid torque of the stated inertias
-    with an allowance for friction (see `Torque`).
-
     The criterion evaluates the model's own regressor, effects included, as far as its columns
     follow from the motion and the time; warnings name the effects that do not (temperature,
     memory, effects on the whole arm).

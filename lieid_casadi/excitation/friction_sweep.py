@@ -19,6 +19,7 @@ from lieid_casadi.excitation.checks import CONTROL_STEP, MARGIN, default_limits,
 from lieid_casadi.excitation.design import RANGE_USED, find_start_pose, rest_pose
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
+    JointLimits,
     Limit,
     MotionRange,
     motion_range,
@@ -120,7 +121,7 @@ def friction_sweep(
     if limits is None:
         limits = default_limits(robot, margin=margin)
     made = on_arm(limits, robot, fit)
-    sets = (*sets_of(made), joints.constraint_set())
+    sets = (*sets_of(made), JointLimits(joints))
     reach = min(RANGE_USED * joints.units[joint, 0], 0.5 * seconds * float(np.max(np.abs(speeds))))
     if start_pose is None:
         pose, reach = _found_pose(robot, joints, sets, joint, reach)

@@ -124,10 +124,6 @@ class MotionRange:
         half = np.where(self._stops, self.position, [-np.pi, np.pi])
         return np.stack([0.5 * np.ptp(half, axis=1), self.velocity, self.acceleration], axis=1)
 
-    def constraint_set(self) -> JointLimits:
-        """Return the limits as a constraint set."""
-        return JointLimits(self)
-
 
 class JointLimits(ConstraintSet):
     """Position, velocity and acceleration of each joint."""
@@ -263,15 +259,9 @@ class SymbolicSet(ConstraintSet):
 
 @dataclass(frozen=True)
 class CartesianSpeed:
-    """Speed of the tool, of every joint's centre and of the URDF's further frames within a limit.
+    """Limited speed of the tool, of every joint's centre and of the URDF's further frames."""
 
-    Parameters
-    ----------
-    limit : float
-        m/s, above 0.
-    """
-
-    limit: float
+    limit: float  #: m/s, above 0
 
     def on(self, robot: Robot, fit: FittedArm | None = None) -> ConstraintSet | None:
         """See `Limit`."""

@@ -85,14 +85,8 @@ def experiment(
         Reads the recordings of the folder when an experiment is resumed.
     despite_check : bool
         Use recordings that certainly do not belong to the robot (see `check`).
-    start_pose : (n,), optional
-        Pose at the start and the end of every motion, rad. Default: as of `excite`.
-    acceleration : float or (n,), optional
-        Limits in place of the robot's, rad/s².
-    margin : float
-        Part of the velocity limits, and of the torque limits by default, that is used.
-    limits : sequence of Limit, optional
-        Besides those of the joints. Default: those of `default_limits`.
+    start_pose, acceleration, margin, limits
+        As of `excite`, for every motion.
     longest : float
         Length of a motion with its probe, s.
     probe : float

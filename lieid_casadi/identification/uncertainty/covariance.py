@@ -145,22 +145,6 @@ def hac_covariance(
     rows: Rows, weights: Sequence[Array], residuals: Sequence[Array], unit_covariance: Array
 ) -> Array:
     """Return the covariance of least-squares values (p, p)."""
-    stationary, general = _score_covariances(rows, weights, residuals, unit_covariance)
-    stationary = unit_covariance @ stationary @ unit_covariance
-    general = unit_covariance @ general @ unit_covariance
-    first, second = np.diag(stationary), np.diag(general)
-    ratio = np.divide(second, first, out=np.ones_like(first), where=first > 0.0)
-    growth = np.sqrt(np.maximum(ratio, 1.0))
-    covariance = stationary * np.outer(growth, growth)
-    # rounding can make variances of nearly dependent parameters negative
-    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), 0.0))
-    return np.asarray(covariance)
-
-
-def _score_covariances(
-    rows: Rows, weights: Sequence[Array], residuals: Sequence[Array], unit_covariance: Array
-) -> tuple[Array, Array]:
-    """Return the covariance of the scores (p, p) from the spectrum, and from the scores."""
     line = TimeLine.of(rows)
     noise = [w**2 * e for w, e in zip(weights, residuals, strict=True)]
     spectrum = residual_spectrum(line, rows, noise)
@@ -171,8 +155,20 @@ def _score_covariances(
         line.back(joint.instant, correction[:, j] * line.transform(joint.instant, noise[j]))
         for j, joint in enumerate(rows.joints)
     ]
-    products = _filtered_products(line, rows, raised)
-    return products, _score_products(line, rows, scores, spectrum.correlation_length)
+    stationary, general = (
+        unit_covariance @ products @ unit_covariance
+        for products in (
+            _filtered_products(line, rows, raised),
+            _score_products(line, rows, scores, spectrum.correlation_length),
+        )
+    )
+    first, second = np.diag(stationary), np.diag(general)
+    ratio = np.divide(second, first, out=np.ones_like(first), where=first > 0.0)
+    growth = np.sqrt(np.maximum(ratio, 1.0))
+    covariance = stationary * np.outer(growth, growth)
+    # rounding can make variances of nearly dependent parameters negative
+    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), 0.0))
+    return np.asarray(covariance)
 
 
 def residual_correlation_length(rows: Rows, residuals: Sequence[Array]) -> int:
