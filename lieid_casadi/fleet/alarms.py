@@ -14,13 +14,7 @@ import numpy as np
 from lieid_casadi.errors import FleetError
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.judging import (
-    ChangedQuantity,
-    JudgedArm,
-    RepeatedEffect,
-    judge_night,
-    label_of,
-)
+from lieid_casadi.fleet.judging import ChangedQuantity, JudgedArm, judge_night
 from lieid_casadi.fleet.night_result import Finding
 
 #: What to do about an effect, or about a kind of effects by a part of their name.
@@ -101,14 +95,22 @@ def updated_alarms(open_alarms: Sequence[Alarm], judged: JudgedArm) -> list[Alar
     """
     alarms = [_continued(alarm, judged) for alarm in open_alarms]
     owned = frozenset[str]().union(*(alarm.labels for alarm in alarms))
-    new = _new_alarm(judged, owned)
-    if new is None:
+    news = [c for c in judged.changed if c.label not in owned]
+    if not news:
         return alarms
+    new = _described(judged.arm, news)
+    labels = {c.label for c in news} | {label_of(new.quantity, new.joint)}
+    new = replace(new, series=",".join(sorted(labels)))
     for k, alarm in enumerate(alarms):
         if _is_same(alarm, new, judged.arm):
             alarms[k] = replace(alarm, series=",".join(sorted(alarm.labels | new.labels)))
             return alarms
     return [*alarms, new]
+
+
+def label_of(name: str, joint: int | None) -> str:
+    """Return a name with the joint, from 1, if there is one."""
+    return name if joint is None else f"{name}:{joint}"
 
 
 def _is_same(alarm: Alarm, new: Alarm, arm: ArmHistory) -> bool:
@@ -126,42 +128,28 @@ def _is_same(alarm: Alarm, new: Alarm, arm: ArmHistory) -> bool:
 def _continued(alarm: Alarm, judged: JudgedArm) -> Alarm:
     """Return an open alarm with the size, beginning and name that this night gives."""
     own = [c for c in judged.changed if c.label in alarm.labels]
-    if not own and not any(r.label in alarm.labels for r in judged.repeated):
+    if not own:
         return alarm
-    fresh = _described(judged.arm, own, own[0].since if own else alarm.since, alarm)
+    fresh = _described(judged.arm, own)
     kept = {
         name: getattr(alarm, name) for name in ("raised", "note", "series", "reported", "warned")
     }
     return replace(fresh, last=judged.arm.dates[-1], **kept)
 
 
-def _new_alarm(judged: JudgedArm, owned: frozenset[str]) -> Alarm | None:
-    changed = [c for c in judged.changed if c.label not in owned]
-    repeated = [r for r in judged.repeated if r.label not in owned]
-    news: list[ChangedQuantity | RepeatedEffect] = [*changed, *repeated]
-    if not news or not (changed or _named(judged.arm, news[0].since)):
-        return None
-    alarm = _described(judged.arm, changed, news[0].since, None)
-    labels = {item.label for item in news} | {label_of(alarm.quantity, alarm.joint)}
-    return replace(alarm, series=",".join(sorted(labels)))
-
-
-def _described(
-    arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date, before: Alarm | None
-) -> Alarm:
+def _described(arm: ArmHistory, changed: Sequence[ChangedQuantity]) -> Alarm:
     """Return the alarm of changed quantities, the most significant first.
 
     It is named after the effect that the diagnoses since then have found. If they have found
     none, it is named after the coefficient that has changed most significantly.
     """
+    since = changed[0].since
     named = _named(arm, since)
     coefficients = [c for c in changed if c.quantity.name != ERROR]
     own = next((c for c in coefficients if (c.quantity.effect, c.quantity.joint) in named), None)
     if own is None and not named and coefficients:
         first = coefficients[0]  # unless the residual of its joint is not explained
         own = None if (UNEXPLAINED, first.quantity.joint) in arm.found[-1] else first
-    if own is None and not named and before is not None and not changed:
-        return before
     fields = (
         _of_coefficient(arm, own, since) if own is not None
         else _of_finding(named, since) if named
@@ -172,7 +160,7 @@ def _described(
     fields["rivals"] = rivals = (own_findings[-1].rivals or "") if own_findings else ""
     fields["sentence"] += f"; fits as well: {rivals}" if rivals else ""
     others = [label_of(e, j) for e, j in named if (e, j) != (quantity, joint)]
-    if others and (own is not None or named):
+    if others:
         fields["sentence"] += f"; also found: {', '.join(others[:3])}"
     last, severity = arm.dates[-1], float(np.median(arm.shares[-SEVERITY_NIGHTS:]))
     return Alarm(
