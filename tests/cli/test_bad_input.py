@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -138,24 +136,6 @@ def test_names_that_are_not_utf8(run, tmp_path, good):
     assert status == 0, err
     assert run("compare", fit, path)[0] == 0
     refused(run("identify", path, good), r"run\udcff.csv")
-
-
-def test_a_killed_run_leaves_no_half_written_fit(tmp_path, good):
-    """Kill the process in the middle of the write: the old file is still whole."""
-    path = tmp_path / "fit.json"
-    path.write_text("old")
-    script = (
-        "import os, sys\n"
-        "import lieid_casadi.atomic_file as atomic\n"
-        "replace = os.replace\n"
-        "def die(*a): os.kill(os.getpid(), 9)\n"
-        "os.replace = die\n"
-        "from lieid_casadi.cli.main import main\n"
-        f"main(['identify', 'two_link', {good!r}, '-o', {str(path)!r}])\n"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
-    assert done.returncode == -9
-    assert path.read_text() == "old"
 
 
 @pytest.mark.parametrize("options", [[], ["--test", "run.csv"], ["run.csv", "--train", "run.csv"]])

@@ -99,15 +99,6 @@ def test_deadband(runs):
     assert lieid.compare(fit, other).rms_moving[1] < 2.0 * fit.rms_cv[1]
 
 
-def test_back_emf_is_viscous(runs):
-    recording = with_torque(runs[0])
-    fits = [
-        lieid.identify(lieid.Model(ROBOT, f"coulomb,offset,{name}"), recording, processing=CUTOFF)
-        for name in ("viscous", "back_emf")
-    ]
-    np.testing.assert_allclose(fits[0].values, fits[1].values, rtol=1e-9)
-
-
 def saturated(stated, limit):
     """Return a recording of a joint whose torque has a limit other than that of its law, N·m."""
     arm = plant.demo_arm(TWO_LINK, seed=1, hidden=None)

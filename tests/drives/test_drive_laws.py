@@ -52,12 +52,6 @@ def test_servo_law_is_that_of_a_dc_motor():
         np.testing.assert_allclose(law.torque(error, dq), expected, rtol=1e-12, atol=1e-12)
 
 
-def test_torque_limit_of_the_robot():
-    robot = TWO_LINK.with_drives(Drive(stiffness=1000.0))
-    law = robot.drives[1]
-    assert law.torque(np.array([1.0]), 0.0) == pytest.approx(robot.limit("torque")[1])
-
-
 def test_missing_velocities_are_differences_within_segments():
     t = np.concatenate([np.arange(50) * 0.01, 10.0 + np.arange(50) * 0.01])
     q = np.where(t < 5, 0.3 * t, 2.0 - 0.5 * (t - 10.0))[:, None]

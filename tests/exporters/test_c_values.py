@@ -190,20 +190,6 @@ def test_functions_and_their_sum_are_those_of_symbolic(arm, motion):
             close(mass[k], python.mass_matrix(q[k]).full())
 
 
-def test_smooth_coulomb_friction_by_hand(tmp_path):
-    from exporters.c_arms import made_fit
-
-    exported = Exported(made_fit(lieid.robots.two_link(), "coulomb"), tmp_path / "arm")
-    dq, width = np.array([[0.02, -0.3]]), np.array([0.1, 0.05])
-    zero = np.zeros((1, 2))
-    motion = {"q": zero, "dq": dq, "ddq": zero, "temperature": zero, "time": np.zeros(1)}
-    got = exported.along(motion, {"friction": 1}, load=zero, smooth_velocity=width)
-    # the integral of (1 − x²)³, whose derivatives vanish at ±1
-    u = np.linspace(0.0, 0.2, 20001)
-    sign = [np.trapezoid((1.0 - u**2) ** 3, u) / (16.0 / 35.0), -1.0]
-    close(got["friction"][0, :, 0], exported.fit.effect_coefficients * sign, 1e-8)
-
-
 def test_a_result_array_may_be_an_argument(arm, motion):
     apart = arm.rigid("rigid_torque", 1, motion["q"], motion["dq"], motion["ddq"])[0, :, 0]
     q, dq, ddq = (motion[k][0].copy() for k in ("q", "dq", "ddq"))

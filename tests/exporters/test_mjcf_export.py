@@ -68,16 +68,6 @@ def test_torque_of_effects_that_mujoco_has():
         np.testing.assert_allclose(inverse(model, q, dq, ddq), expected, rtol=1e-5, atol=1e-5)
 
 
-def test_coulomb_friction_is_frictionloss():
-    fit = made_fit(lieid.robots.panda(), "coulomb,viscous")
-    model, notes = model_of(fit)
-    assert notes == []
-    numbers = dict(zip([c.label for c in fit.model.columns], fit.effect_coefficients, strict=True))
-    for j in range(7):
-        assert model.dof_frictionloss[j] == pytest.approx(numbers[f"coulomb.f_c:{j + 1}"], rel=1e-9)
-        assert model.dof_damping[j] == pytest.approx(numbers[f"viscous.f_v:{j + 1}"], rel=1e-9)
-
-
 def test_dry_friction_holds_a_load():
     """With MuJoCo's default constraint a joint creeps under a torque below its friction loss."""
     text, _ = mjcf_text(made_fit(lieid.robots.two_link(), "coulomb"))

@@ -9,7 +9,6 @@ from exporters.test_mjcf_in_place import numbers_of
 
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
-from lieid_casadi.errors import ExportError
 
 SIDES, JOINTS = ("left", "right"), ("left_1", "left_2", "right_1", "right_2")
 INERTIA = 'ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"'
@@ -81,16 +80,3 @@ def test_both_arms_are_in_one_file(to, tmp_path):
     ]
     found = torque_in_program(path, to, q, dq, ddq)
     np.testing.assert_allclose(found, np.concatenate(expected), atol=1e-9)
-
-
-@pytest.mark.parametrize("to", ["mjcf", "urdf"])
-def test_a_file_of_another_arm_is_refused(to, tmp_path):
-    fit = numbers_of(lieid.Robot.load(written(tmp_path, to), tip="left_fore"), "viscous")
-    (tmp_path / "other").mkdir()
-    other = written(tmp_path / "other", to)
-    for old, new in (("left_1", "left_a"), ("0.3 0 0", "0.4 0 0")):
-        other.write_text(written(tmp_path, to).read_text().replace(old, new))
-        with pytest.raises(ExportError, match="joints up to left_fore are left_"):
-            lieid.export(fit, tmp_path / "out", to=to, into=other)
-    with pytest.raises(ExportError, match="into applies to urdf, mjcf and usd"):
-        lieid.export(fit, tmp_path / "out", to="c", into=other)

@@ -11,14 +11,10 @@ from lieid_casadi.plant import (
     EncoderOffset,
     FourierTrajectory,
     Sensors,
-    Thermal,
-    TorqueDelay,
     TorqueGain,
     measure,
-    measure_along,
     move_along,
 )
-from lieid_casadi.plant.arm import Arm
 
 ROBOT = robots.two_link()
 T = np.arange(20001) / 1000.0
@@ -55,16 +51,6 @@ def test_the_nearest_instants_are_sampled_with_their_stamps(rate, count, steps):
 def test_a_rate_above_the_control_is_refused():
     with pytest.raises(RecordingError, match="sensors at 2000 Hz on a motion at 1000 Hz"):
         _measure(Sensors(rate=2000.0))
-
-
-def test_encoder_steps():
-    step = 2 * np.pi / 4096
-    recording = _measure(Sensors(rate=1000.0, counts_per_turn=4096))
-    counts = recording.q / step
-    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
-    error = recording.q - TRUTH.q
-    assert np.abs(error).max() <= 0.5 * step * (1 + 1e-9)
-    assert error.std() == pytest.approx(step / np.sqrt(12), rel=0.05)
 
 
 def test_velocity_from_the_encoder():
@@ -111,30 +97,3 @@ def test_effects_on_what_is_measured_change_their_joint_alone(effect, expected):
     q, tau = expected(TRUTH.q.T, TRUTH.tau.T)
     np.testing.assert_allclose(recording.q, np.column_stack([TRUTH.q[:, 0], q]), atol=1e-12)
     np.testing.assert_allclose(recording.tau, np.column_stack([TRUTH.tau[:, 0], tau]), atol=1e-9)
-
-
-@pytest.mark.parametrize("delay", [0.012, 0.0125])
-def test_delay(delay):
-    recording = _measure(Sensors(rate=None), TorqueDelay(0, delay=delay))
-    late = np.interp(T - delay, T, TRUTH.tau[:, 0])
-    far = slice(50, None)
-    jumps = np.abs(np.diff(TRUTH.tau[:, 0], prepend=0)) > 0.2
-    near_jump = np.convolve(jumps, np.ones(40), "same") > 0
-    smooth = ~near_jump[far]
-    np.testing.assert_allclose(recording.tau[far, 0][smooth], late[far][smooth], atol=1e-3)
-    assert np.abs(recording.tau[:, 0] - TRUTH.tau[:, 0]).max() > 0.05
-    np.testing.assert_array_equal(recording.tau[:, 1], TRUTH.tau[:, 1])
-
-
-def test_temperature_approaches_its_end():
-    plain = arm_of(ROBOT)
-    warm = Arm(
-        ROBOT, plain.parameters, plain.friction, (),
-        Thermal(start=22.0, rise=18.0, time_constant=3.0),
-    )  # fmt: skip
-    recording = measure_along(warm, T, *PATH, sensors=Sensors(temperature=True))
-    assert recording.temperature[0] == pytest.approx([22.0, 22.0], abs=0.3)
-    assert recording.temperature[-1] == pytest.approx([40.0, 40.0], abs=0.3)
-    tenths = recording.temperature * 10
-    np.testing.assert_allclose(tenths, np.round(tenths), atol=1e-6)
-    np.testing.assert_array_equal(recording.tau, TRUTH.tau[::5])

@@ -79,25 +79,6 @@ def test_a_sliding_mass_stops_where_friction_stops_it_and_stays():
     assert rows[-1].dry[0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_stick_slip_of_a_dragged_mass():
-    """A mass dragged by a spring with more friction at rest sticks and slips."""
-    arm = arm_of(
-        slider(1.0), coulomb=1.0, viscous=0.1, offset=0.0,
-        effects=(Stribeck(0, extra=1.0, velocity=0.02),),
-    )  # fmt: skip
-    stepper = Stepper(arm, H, np.zeros(1))
-    resting = []
-    for k in range(5000):
-        force = 200.0 * (0.02 * k * H - stepper.q)
-        resting.append(stepper.step(k * H, _constant(force), np.full(1, 25.0)).resting[0])
-    slips = np.count_nonzero(np.diff(np.array(resting).astype(int)) == -1)
-    assert slips >= 3
-    assert 0.3 < np.mean(resting) < 0.99
-    # it breaks loose at the level of rest: 2 N = 200 N/m · stretch
-    first = resting.index(False)
-    assert first * H * 0.02 * 200.0 == pytest.approx(2.0, rel=0.01)
-
-
 def _reference(arm, q0, dq0, torque, until):
     model = arm.rigid_model()
     data = model.createData()
@@ -145,37 +126,6 @@ def test_friction_dissipates_and_energy_balances(hidden):
     work = np.trapezoid(power, motion.t)
     absolute = np.trapezoid(np.abs(power), motion.t)
     assert work == pytest.approx(energy(-1) - energy(0), abs=1e-4 * absolute)
-
-
-def test_signals_are_derivatives_of_one_another():
-    arm = demo_arm(robots.two_link(), hidden=None)
-    motion = move(arm, FourierTrajectory(arm.robot, seed=3, base_frequency=0.2))
-    dq = np.gradient(motion.q, motion.t, axis=0)
-    np.testing.assert_allclose(motion.dq[2:-2], dq[2:-2], atol=2e-3)
-    assert np.abs(np.mean(motion.dq - dq, axis=0)).max() < 1e-6
-    # not shifted in time: a lag of half a sample would correlate with the acceleration
-    smooth = np.abs(np.gradient(motion.ddq, motion.t, axis=0)) < 50.0
-    for joint in range(arm.n):
-        rows = smooth[:, joint]
-        a = motion.ddq[rows, joint]
-        lag = a @ (motion.dq - dq)[rows, joint] / (a @ a)
-        assert abs(lag) < 0.02 * H
-
-
-def test_control_tracks():
-    arm = demo_arm(robots.two_link(), seed=2)
-    trajectory = FourierTrajectory(arm.robot, seed=3, base_frequency=0.5)
-    motion = move(arm, trajectory)
-    q, _, _ = trajectory.at(motion.t)
-    assert np.abs(motion.q - q).max() < 0.02
-
-
-def test_torques_stay_within_limits():
-    arm = demo_arm(robots.panda(), hidden="payload", strength=30.0)
-    motion = move(arm, FourierTrajectory(arm.robot, seed=3, base_frequency=0.2), duration=1.0)
-    limit = arm.robot.limit("torque")
-    assert np.all(np.abs(motion.tau) <= limit)
-    assert np.any(np.abs(motion.tau) == limit)
 
 
 @pytest.mark.parametrize("hidden", ["load_friction", "presliding"])
