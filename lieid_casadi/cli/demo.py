@@ -61,7 +61,7 @@ def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
         ):
             figure.savefig(fresh / name, dpi=110)
         report = diagnosis_report(demo.diagnosis, demo.better_comparison)
-        (fresh / "report.html").write_bytes(output.html_bytes(report))
+        (fresh / "report.html").write_bytes(report.encode(errors="replace"))
         export(demo.better, fresh / "c", to="c")
 
 

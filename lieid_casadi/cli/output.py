@@ -43,11 +43,6 @@ def visible(text: str) -> str:
 
     Names come from files of others: control characters, those that change the direction of
     writing, and bytes that are not UTF-8 become escapes such as ``\x1b``.
-
-    Examples
-    --------
-    >>> visible("arm\x1b[2J")
-    'arm\\x1b[2J'
     """
     return "".join(
         c.encode("unicode_escape").decode() if unicodedata.category(c)[0] == "C" else c
@@ -117,11 +112,6 @@ def csv_bytes(t: Array, **signals: Array) -> bytes:
     return text.getvalue().encode()
 
 
-def html_bytes(page: str) -> bytes:
-    """Return a page as UTF-8; bytes of names that are not UTF-8 become question marks."""
-    return page.encode(errors="replace")
-
-
 @dataclass(frozen=True)
 class Outcome:
     """What a command found: its files are written, all or none, and then it is printed.
@@ -163,7 +153,7 @@ class Outcome:
         if json is not None:
             contents["json"] = lambda: json_bytes({"schema": SCHEMA} | dict(json))
         if html is not None:
-            contents["html"] = lambda: html_bytes(html())
+            contents["html"] = lambda: html().encode(errors="replace")  # names that are not UTF-8
         for name, content in contents.items():
             path: str | None = getattr(args, name, None)
             if path is not None:

@@ -334,13 +334,10 @@ class Effect(ABC):
         raise NotImplementedError(f"effect {self.name} has states but no advance")
 
     def next_states(self, before: Signals, now: Signals, shape: ShapeSymbols) -> list[ca.SX]:
-        """Return the states of `advance`, held where an input is not finite.
+        """Return the states of `advance`, held where one of its inputs is not finite.
 
-        One NaN or infinite sample must not destroy the states of all samples after it. If any
-        symbol on which `advance` depends is not finite, at this sample or the one before, the
-        states keep their values; they evolve again from the next pair of finite samples. Python
-        evaluation, compiled batches and exported C all use this expression. ``before``, ``now``
-        and ``shape`` are those of `advance`.
+        One NaN must not destroy the states of all samples after it; they evolve again from the next
+        pair of finite samples. Python, compiled batches and exported C use this expression.
         """
         after = [ca.SX(x) for x in self.advance(before, now, shape)]
         size = ca.SX(0)

@@ -64,13 +64,8 @@ def delayed_change(t: Array, torque: Array, delay: float) -> Array:
 def where_known(change: Array, t: Array, known: NDArray[np.bool_], past: float) -> Array:
     """Return a change of torque (K, n), zero where it depends on unknown friction.
 
-    At rest friction has any value up to its level, and the instants at which a joint starts and
-    stops have an error of up to one sample. A delayed or filtered torque depends on them for as
-    long as its memory reaches: a step of friction there, wrong by one sample, would exceed all
-    that the delay of the smooth motion causes.
-
-    ``change`` (K, n), ``t`` (K,) in s, ``known`` (K, n); ``past`` is the length of the memory in s,
-    negative for a torque that depends on the time to come.
+    That is within the memory ``past``, s (negative: the time to come), of rest, where friction has
+    any value up to its level: a step there, wrong by one sample, exceeds what a delay causes.
     """
     step = (t[-1] - t[0]) / max(len(t) - 1, 1)
     first, last = t - max(past, 0.0) - step, t + max(-past, 0.0) + step

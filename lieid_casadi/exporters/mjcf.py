@@ -22,6 +22,7 @@ from lieid_casadi.exporters.simulator_joints import (
     file_name,
     for_steps,
     inertial,
+    left_out,
     linear_friction,
     number,
     passive_torques,
@@ -82,16 +83,10 @@ def notes_of(fit: Fit, friction: Sequence[LinearFriction], plays: Sequence[Play]
     notes: list[str] = []
     names = {p.effect.name for p in fit.model.placements}
     notes += beyond_linear_friction(friction)
-    dry = {label.split(".")[0] for label in (c.name for c in fit.model.columns)}
-    approximated = {
-        p.effect.name
-        for p in fit.model.placements
-        if set(p.effect.signals) & {"dq", "sign"} and p.effect.name in dry
-    }
     rigid = {p.joint for p in fit.model.placements if p.effect.name == "backlash"}
     rigid -= {play.joint for play in plays}
     expressed = EXPRESSED | (set() if rigid else {"backlash"})
-    left = sorted(names - expressed - approximated)
+    left = sorted(left_out(fit, friction=True, besides=expressed))
     notes.extend(
         f"joint {play.joint + 1}: a play of {play.width:.4g} rad is the joint NAME_play beside "
         "joint NAME, which is the motor's; qpos and qvel contain both"

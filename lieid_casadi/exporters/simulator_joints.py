@@ -78,10 +78,8 @@ class LinearFriction:
 def linear_friction(fit: Fit) -> tuple[LinearFriction, ...]:
     """Return the friction of all joints by non-negative least squares.
 
-    The model's friction (half the difference between forward and backward motion in steady
-    state) is evaluated at speeds that are uniform from 2 to 50 % of the joint's velocity limit, at
-    random poses within the position limits, under the load of the links at these poses and at
-    rest.
+    The model's friction in steady state is evaluated at `SPEEDS`, at random poses within the
+    position limits, under the load of the links at these poses.
     """
     robot = fit.model.robot
     lower, upper = robot.limit("position_lower"), robot.limit("position_upper")

@@ -95,11 +95,11 @@ def updated_alarms(open_alarms: Sequence[Alarm], judged: JudgedArm) -> list[Alar
     """
     alarms = [_continued(alarm, judged) for alarm in open_alarms]
     owned = frozenset[str]().union(*(alarm.labels for alarm in alarms))
-    news = [c for c in judged.changed if c.label not in owned]
-    if not news:
-        return alarms
-    new = _described(judged.arm, news)
-    labels = {c.label for c in news} | {label_of(new.quantity, new.joint)}
+    news = [c for c in judged.changed if c.quantity.label not in owned]
+    if not news or (alarms and news[0].since == judged.arm.dates[-1]):
+        return alarms  # one night does not show whether it has another cause
+    new = _described(judged.arm, news, news[0].since)
+    labels = {c.quantity.label for c in news} | {label_of(new.quantity, new.joint)}
     new = replace(new, series=",".join(sorted(labels)))
     for k, alarm in enumerate(alarms):
         if _is_same(alarm, new, judged.arm):
@@ -117,33 +117,40 @@ def _is_same(alarm: Alarm, new: Alarm, arm: ArmHistory) -> bool:
     """Whether what became significant later has the cause of an open alarm.
 
     An arm with an open alarm is not described by its fit, so that its coefficients depend on the
-    motion: only an effect of another joint that the diagnoses name is another cause.
+    motion: only an effect of another joint that the diagnoses of two nights name is another cause.
     """
     if alarm.joint == new.joint:
         return True
     nights = sum(min(alarm.since, new.since) < d <= max(alarm.since, new.since) for d in arm.dates)
-    return nights <= SAME_BEGINNING or (new.quantity, new.joint) not in _named(arm, new.since)
+    own = _named(arm, new.since).get((new.quantity, new.joint), [])
+    return nights <= SAME_BEGINNING or len(own) < 2
 
 
 def _continued(alarm: Alarm, judged: JudgedArm) -> Alarm:
-    """Return an open alarm with the size, beginning and name that this night gives."""
-    own = [c for c in judged.changed if c.label in alarm.labels]
+    """Return an open alarm with the size, beginning and name that this night gives.
+
+    Another motion changes the coefficients of an arm that its fit does not describe. As long as the
+    diagnoses find the effect of the alarm, which they found before that as well, this is no news.
+    """
+    own = [c for c in judged.changed if c.quantity.label in alarm.labels]
     if not own:
         return alarm
-    fresh = _described(judged.arm, own)
+    effect, since = (alarm.quantity, alarm.joint), own[0].since
+    if effect in _named(judged.arm, alarm.since) and effect not in _named(judged.arm, since):
+        since = alarm.since
+    fresh = _described(judged.arm, own, since)
     kept = {
         name: getattr(alarm, name) for name in ("raised", "note", "series", "reported", "warned")
     }
     return replace(fresh, last=judged.arm.dates[-1], **kept)
 
 
-def _described(arm: ArmHistory, changed: Sequence[ChangedQuantity]) -> Alarm:
-    """Return the alarm of changed quantities, the most significant first.
+def _described(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date) -> Alarm:
+    """Return the alarm of quantities, the most significant first, that have changed since a night.
 
     It is named after the effect that the diagnoses since then have found. If they have found
     none, it is named after the coefficient that has changed most significantly.
     """
-    since = changed[0].since
     named = _named(arm, since)
     coefficients = [c for c in changed if c.quantity.name != ERROR]
     own = next((c for c in coefficients if (c.quantity.effect, c.quantity.joint) in named), None)

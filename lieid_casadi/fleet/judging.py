@@ -48,16 +48,6 @@ class ChangedQuantity:
     change: Change
     since: date
 
-    @property
-    def label(self) -> str:
-        """Label of the quantity."""
-        return self.quantity.label
-
-    @property
-    def joint(self) -> int | None:
-        """Joint of the quantity, from 1."""
-        return self.quantity.joint
-
 
 @dataclass(frozen=True, eq=False)
 class JudgedArm:
@@ -123,7 +113,7 @@ def _tests(
     adjusted = false_discovery_control([item.change.p_value for item in items])
     of_known = FALSE_ALARMS / KNOWN_CHANGE
     return [
-        (item, of_known * item.change.p_value if item.joint in alarmed else float(p))
+        (item, of_known * item.change.p_value if item.quantity.joint in alarmed else float(p))
         for item, p in zip(items, adjusted, strict=True)
     ]
 

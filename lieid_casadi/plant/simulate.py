@@ -43,13 +43,10 @@ def simulate(
     """Simulate an arm that tracks a trajectory by joint control, and record it.
 
     Control is PD with the nominal rigid torques along the reference, critically damped at the least
-    nominal inertia.
+    nominal inertia. ``rate`` (Hz) is that of control and integration. Sensors are ideal at 200 Hz
+    by default; the seed is that of their noise. ``progress`` is called with the fraction done.
 
-    The duration (s) is that of the trajectory by default; ``rate`` (Hz) is that of control and
-    integration. Sensors are ideal at 200 Hz by default; the seed is that of their noise.
-    ``progress`` is called with the fraction that is done, 0 to 1.
-
-    EffectError: presliding too stiff for this rate; RecordingError: sensors faster than it.
+    RecordingError: sensors faster than ``rate``.
     """
     motion = move(arm, trajectory, duration=duration, rate=rate, progress=progress)
     return measure(arm, motion, sensors or Sensors(), seed=seed, name=name)
@@ -68,11 +65,9 @@ def move(
     Integration is by the drift-kick-drift rule: torques are evaluated at q + h/2·q̇ with the mean
     velocity of the step, and each row holds that instant, so that τ = rigid + effects to rounding.
     Stick and slip follow an implicit rule (friction takes any value up to its level that stops the
-    joint), so that a joint at rest stays exactly at rest.
+    joint), so that a joint at rest stays exactly at rest. Arguments are those of `simulate`.
 
-    Arguments are those of `simulate`.
-
-    EffectError: presliding too stiff for this rate; elastic joints, which `measure_along` has.
+    EffectError: elastic joints, which `measure_along` has.
     """
     span = trajectory.duration if duration is None else duration
     if arm.compliance.any():
@@ -82,7 +77,6 @@ def move(
     temperature = arm.thermal.at(t, arm.n)
     controller = _Controller(arm, trajectory, t)
     stepper = Stepper(arm, 1.0 / rate, controller.reference[0])
-    _check_presliding(arm, stepper, controller.inertia, 1.0 / rate)
     steps = []
     every = max(1, t.size // REPORTS)
     for k in range(t.size):
@@ -106,11 +100,9 @@ class _Controller:
         self._goal, self._goal_velocity = (np.concatenate([x[1:], x[-1:]]) for x in (q, dq))
         model = build_pinocchio(arm.robot)
         self._feedforward = rigid_torques(model, q, dq, ddq)
-        self.inertia = _least_inertia(model, q)
-        self._stiffness = np.maximum(
-            self.inertia * BANDWIDTH**2, STIFFNESS * torque_scale(arm.robot)
-        )
-        self._damping = 2.0 * np.sqrt(self._stiffness * self.inertia)
+        inertia = _least_inertia(model, q)
+        self._stiffness = np.maximum(inertia * BANDWIDTH**2, STIFFNESS * torque_scale(arm.robot))
+        self._damping = 2.0 * np.sqrt(self._stiffness * inertia)
         h = t[1] - t[0]
         self._h, self._gain = h, self._stiffness * 0.5 * h * h + self._damping * h
         limit = arm.robot.limit("torque")
@@ -135,13 +127,3 @@ def _least_inertia(model: Any, path: Array) -> Array:
     inverses = [np.diag(np.linalg.inv(pin.crba(model, data, q))) for q in rows]
     least: Array = np.reciprocal(np.max(inverses, axis=0))
     return least
-
-
-def _check_presliding(arm: Arm, stepper: Stepper, inertia: Array, h: float) -> None:
-    stiffness = stepper.presliding_stiffness()
-    for joint in np.flatnonzero(stiffness * h * h > inertia + arm.armature):
-        rate = np.sqrt(stiffness[joint] / (inertia[joint] + arm.armature[joint]))
-        raise EffectError(
-            f"presliding on joint {joint + 1}: too stiff for control at {1.0 / h:g} Hz; "
-            f"expected a larger width, or a rate of at least {rate:.0f} Hz"
-        )

@@ -121,13 +121,6 @@ class Stepper:
         overdamped = self._h * arm.friction.viscous * np.diag(np.linalg.inv(inertia)) > 1.0
         return np.where(overdamped, self._h, 0.5 * self._h)
 
-    def presliding_stiffness(self) -> Array:
-        """Stiffness at reversals (n,), N·m/rad; 0 without hysteresis."""
-        drive, zero = self._drive, np.zeros(self.q.size)
-        rest = JointState(np.zeros(()), self.q, zero, zero, zero, zero)
-        width = np.where(drive.hysteretic, drive.hysteresis_width, np.inf)
-        return np.asarray(2.0 * drive.level(rest) / width)
-
     def _accelerate(
         self, state: JointState, command: DriveCommand
     ) -> tuple[Array, Array, Array, Array, Array]:

@@ -94,18 +94,12 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
     The scheme is drift-kick-drift: forces act at x + h/2·ẋ, x being the angles of the motors and
     those of the links with play. Drives and viscous friction act on motors and are linearly
     implicit, M − θ·h·∂f/∂ẋ − θ²·h²·∂f/∂x being the matrix of the change of velocity. Dry friction
-    and the contact at the sides of a play are set-valued forces
-    (`lieid_casadi.simulation.step`). The level of dry friction follows from the load
-    at the acceleration of the step before.
+    and the contact at the sides of a play are set-valued forces. The level of dry friction follows
+    from the load at the acceleration of the step before.
 
-    ``drives``: control laws: the input is the commanded position; None: it is the torque. The
-    ``numbers`` (10 n + m + s,) are link parameters, coefficients and shape parameters; the widths
-    of plays are those of the fit.
-
-    Returns
-    -------
-    ca.Function
-        ``state`` is [x; ẋ; ẍ; set-valued forces; states of effects with memory].
+    The input is the commanded position, or without ``drives`` the torque; the ``numbers``
+    (10 n + m + s,) are link parameters, coefficients and shape parameters; the widths of plays are
+    those of the fit. ``state`` is [x; ẋ; ẍ; set-valued forces; states of effects with memory].
     """
     model, n, x = fit.model, fit.model.n, Coordinates.of(fit)
     counts = [0, 10 * n, len(fit.parameters), len(fit.parameters) + len(fit.shapes)]

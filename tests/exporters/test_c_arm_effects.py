@@ -110,14 +110,14 @@ def test_torque_is_that_of_a_simulated_arm_with_the_effect(tmp_path):
 def test_notes_name_what_is_not_exported(tmp_path):
     fit = made_fit(PANDA, "coulomb,torque_delay:2,bias_drift:1,payload")
     notes = export(fit, tmp_path / "arm", to="c").notes
-    text = (tmp_path / "arm" / "README.md").read_text() + (tmp_path / "arm" / "arm.h").read_text()
+    text = (tmp_path / "arm" / "arm.h").read_text()
     for label, words in (
         ("torque_delay:2", "without the delay"),
         ("bias_drift:1", "does not carry over"),
         ("payload", "part of effect_torque, not of rigid_torque"),
     ):
         assert any(note.startswith(label) and words in note for note in notes)
-        assert text.count(f"{label}: ") >= 2
+        assert f"{label}: " in text
     undelayed = made_fit(PANDA, "coulomb")
     undelayed = dataclasses.replace(undelayed, parameters=fit.parameters[: 10 * 7 + 7])
     delayed = made_fit(PANDA, "coulomb,torque_delay:2")

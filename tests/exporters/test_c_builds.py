@@ -115,13 +115,14 @@ def test_two_arms_in_one_program(tmp_path):
 
 
 def test_names_stay_inside_comments(tmp_path):
-    import dataclasses
-
     evil = "*/ #error \\"
     robot = lieid.robots.two_link()
     joints = [dataclasses.replace(j, name=f"{evil}\n/* ??/ \u202e{j.name}") for j in robot.joints]
     robot = dataclasses.replace(robot, name=f"{evil}\r\nint x;", joints=tuple(joints))
-    export(made_fit(robot, "coulomb"), tmp_path / "arm", to="c")
+    fit = made_fit(robot, "coulomb")
+    sources = [dataclasses.replace(s, name=evil) for s in fit.provenance.recordings]
+    own = dataclasses.replace(fit.provenance, recordings=tuple(sources))
+    export(dataclasses.replace(fit, provenance=own), tmp_path / "arm", to="c")
     assert "\u202e" not in (tmp_path / "arm" / "arm.h").read_text()
     for build in ("gcc", "g++"):
         run([*BUILDS[build], *WARNINGS, *files(tmp_path), "-lm", "-o", "t"], tmp_path / "arm")

@@ -13,7 +13,7 @@ from lieid_casadi.output_folder import MANIFEST, write_folder
 
 FILES = {
     "arm.h", "arm.c", "arm_parameters.c", "arm_test.c", "lieid_runtime.h", "CMakeLists.txt",
-    "README.md", MANIFEST,
+    MANIFEST,
 }  # fmt: skip
 
 

@@ -18,8 +18,6 @@ def exported_names(folder):
 def test_all_functions_are_exported(tmp_path):
     export(ARMS["presliding"](), tmp_path / "arm", to="c")
     assert exported_names(tmp_path / "arm") == set(NAMES)
-    readme = (tmp_path / "arm" / "README.md").read_text()
-    assert all(f"`arm_{name}`" in readme for name in NAMES)
     export(ARMS["rigid"](), tmp_path / "rigid", to="c")
     assert exported_names(tmp_path / "rigid") == set(NAMES) - {"effect_columns"}
 
@@ -37,9 +35,8 @@ def test_an_indefinite_mass_matrix_has_no_forward_dynamics(tmp_path, effects):
     (note,) = [note for note in made.notes if note.startswith("forward_dynamics is left out")]
     assert "--method feasible" in note
     assert "forward_dynamics" not in exported_names(tmp_path / "arm")
-    for name in ("arm.h", "README.md"):
-        text = " ".join((tmp_path / "arm" / name).read_text().replace("*", " ").split())
-        assert "is left out: the mass matrix is not positive definite" in text.replace("\\", "")
+    text = " ".join((tmp_path / "arm" / "arm.h").read_text().replace("*", " ").split())
+    assert "is left out: the mass matrix is not positive definite" in text
 
 
 def test_unphysical_load_friction_has_no_forward_dynamics(tmp_path):

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from exporters.c_arms import made_fit, torque_of
-from exporters.test_names import NAMES, named
+from exporters.evil_names import NAMES, named
 from exporters.test_urdf_export import ARM
 from robot.random_arms import random_arm
 

@@ -110,6 +110,30 @@ def test_the_first_alarm_is_possible_on_the_fourth_night(tmp_path):
         assert [a.serial for a in new] == (["A0"] if nights == 4 else [])
 
 
+@pytest.mark.parametrize("nights_found", [1, 4])
+def test_another_motion_neither_renames_an_alarm_nor_raises_another(tmp_path, nights_found):
+    """The coefficients of an arm with a body on its tool depend on the motion."""
+
+    def loaded(serial, k):
+        if serial != "A0" or k < 5:
+            return {}
+        again = [("viscous", 2, 0.2)] if 11 <= k < 11 + nights_found else []
+        moved = {("coulomb.f_c", 1): 3.0, ("viscous.f_v", 2): 3.0} if k >= 11 else {}
+        return {
+            "errors": {1: 1.3, 2: 1.3},
+            "grown": {("coulomb.f_c", 1): 0.2} | moved,
+            "findings": [("payload", None, 0.8), *again],
+        }
+
+    path = write_history(tmp_path / "h.duckdb", 15, ARMS, loaded)
+    with History(path) as history:
+        judge_new_nights(history)
+        alarms = {alarm.quantity: alarm for alarm in read_alarms(history)}
+    assert set(alarms) == ({"payload"} if nights_found == 1 else {"payload", "viscous"})
+    assert (alarms["payload"].since - FIRST).days == 5
+    assert alarms["payload"].last == FIRST + timedelta(days=14)
+
+
 @pytest.mark.slow
 def test_report_export_and_acknowledge_by_command(judged, tmp_path, capsys):
     history, _ = judged

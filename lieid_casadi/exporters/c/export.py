@@ -7,7 +7,6 @@ import textwrap
 import unicodedata
 from collections.abc import Iterable, Sequence
 from functools import cache
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,11 +41,9 @@ def c_files(
     prefix: str = "arm",
     payload: bool = False,
 ) -> tuple[dict[str, bytes], list[str]]:
-    """Return library, self-test, CMake project and README by file name, and notes for their users.
+    """Return library, self-test and CMake project by file name, and notes for their users.
 
-    The functions use no memory except their arguments, and of the mathematical library only sin,
-    cos, exp, tanh, fabs and sqrt; the header states order, shape and unit of each argument. The
-    self-test compares their results with CasADi. Options are those of `lieid_casadi.export`.
+    The self-test compares results with CasADi. Options are those of `lieid_casadi.export`.
 
     Raises `ExportError`: the prefix is not usable, an effect has no C form or needs more than one
     instant, or a number is not finite.
@@ -61,10 +58,8 @@ def c_files(
     names, left_out = available(fit)
     notes = [*left_out, *_notes(fit)]
     made = exported_functions(fit, names, payload=payload)
-    comments = [comment(note) for note in notes]
     content = {
-        "notes": comments,
-        "note_lines": wrapped(comments),
+        "note_lines": wrapped(comment(note) for note in notes),
         **_of_form(prefix, payload),
         **_of_fit(fit),
         **_of_model(fit.model),
@@ -77,7 +72,6 @@ def c_files(
         f"{prefix}_parameters.c": "arm_parameters.c.jinja",
         f"{prefix}_test.c": "arm_test.c.jinja",
         "CMakeLists.txt": "CMakeLists.txt.jinja",
-        "README.md": "README.md.jinja",
     }
     files = {
         name: _environment().get_template(template).render(content).encode()
@@ -123,27 +117,9 @@ def comment(text: str) -> str:
 
 
 def string(text: str) -> str:
-    r"""Return text as a literal of C, in UTF-8.
-
-    Examples
-    --------
-    >>> print(string('a"é?'))
-    "a\042\303\251\077"
-    """
+    """Return text as a literal of C, in UTF-8."""
     plain = [chr(b) if 32 <= b < 127 and b not in b'"\\?' else f"\\{b:03o}" for b in text.encode()]
     return f'"{"".join(plain)}"'
-
-
-def markdown(text: str) -> str:
-    r"""Return text in one line without markup of Markdown or HTML.
-
-    Examples
-    --------
-    >>> markdown("<b>|`a_1`")
-    '&lt;b&gt;\\|\\`a_1\\`'
-    """
-    shown = escape(comment(text), quote=False)
-    return re.sub(r"([\\`*\[\]|~$])", r"\\\1", shown)
 
 
 def numbers(values: Array) -> str:
@@ -180,7 +156,6 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["numbers"] = numbers
-    environment.filters["markdown"] = markdown
     return environment
 
 
@@ -208,8 +183,7 @@ def _of_fit(fit: Fit) -> dict[str, Any]:
         "version": __version__,
         "method": fit.method,
         "recordings": [
-            {"name": comment(s.name), "sha256": comment(s.sha256)}
-            for s in fit.provenance.recordings
+            comment(f"{s.name} (SHA-256 {s.sha256})") for s in fit.provenance.recordings
         ],
         "links": [
             {"label": parameter.label, "number": _initializer(value)}
@@ -266,7 +240,6 @@ def _of_functions(model: Model, made: ExportedFunctions) -> dict[str, Any]:
         "advance_reads_load": made.advance_reads_load,
         "reads_load": any("load" in p.effect.signals for p in model.placements),
         "reads": {name.removeprefix("before_") for names in used for name in names},
-        "sizes": [(name, f.operations) for name, f in made.bodies.items()],
     }
 
 
