@@ -122,6 +122,19 @@ def test_what_is_not_recorded_is_kept_and_resumed(given, tmp_path):
     assert np.array_equal(motions[0].samples.q, motions[1].samples.q)
 
 
+def test_what_no_motion_separates_ends_with_the_reason(given, tmp_path, monkeypatch):
+    def none(self, *arguments, **options):
+        raise NoSolution("the best motion would have to run for 900 s")
+
+    monkeypatch.setattr(MotionDesign, "next", none)
+    record, motions = recorder(arm())
+    result = lieid.experiment(ROBOT, given, record=record, folder=tmp_path, **QUICK)
+    assert (result.stopped, motions) == ("not_separable", [])
+    assert "stribeck:1 or viscous_polynomial:1: not separated." in result.reason
+    assert "have to run for 900 s" in result.reason
+    assert json.loads((tmp_path / "experiment.json").read_text())["reason"] == result.reason
+
+
 @pytest.mark.slow
 def test_a_recording_of_another_unit_is_refused(given, tmp_path):
     record, _ = recorder(arm())
