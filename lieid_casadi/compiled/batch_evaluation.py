@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -265,8 +266,8 @@ class BaseBlocks:
     """Blocks of ``size`` samples of a base regressor.
 
     Each joint has only its structurally nonzero columns, so that joint i's block has no zeros of
-    the links before it: ``columns[i]`` (p_i,) says which, ``starts`` (n + 1,) where its values
-    begin among those of one sample. Several threads may call `evaluate`, with a buffer each.
+    the links before it: ``columns[i]`` (p_i,) says which. Several threads may call `evaluate`, with
+    a buffer each.
     """
 
     def __init__(
@@ -278,11 +279,7 @@ class BaseBlocks:
         layout = evaluation.layout
         self._bound = evaluation.bind(values)
         self._starts = [int(start) for start in layout.row_starts]
-        self.starts = layout.row_starts
-        self.columns = tuple(
-            layout.columns[first:last]
-            for first, last in zip(self._starts[:-1], self._starts[1:], strict=True)
-        )
+        self.columns = tuple(layout.columns[a:b] for a, b in pairwise(self._starts))
         self.size = size or max(64, BUFFER_BYTES // (8 * max(layout.count, 1)) // 64 * 64)
 
     def buffer(self) -> Array:
@@ -299,8 +296,7 @@ class BaseBlocks:
         results are views of ``buffer``, which is from `buffer`.
         """
         self._bound.columns(first, last, buffer)
-        ends = zip(self._starts[:-1], self._starts[1:], strict=True)
-        return tuple(buffer[start:end, : last - first] for start, end in ends)
+        return tuple(buffer[a:b, : last - first] for a, b in pairwise(self._starts))
 
 
 BEFORE = "before_"  # prefix of arguments that belong to the sample before

@@ -198,25 +198,14 @@ def identify_segments(
         covariance = np.full((len(state.solution.values) + len(state.shapes),) * 2, np.nan)
         noise = tuple(Noise.white(float(spread)) for spread in state.weighting.noise)
     return Fit(
-        model=model,
-        method=method,
-        values=state.solution.values,
-        shapes=state.shapes,
-        covariance=covariance,
-        shape_intervals=ends,
-        parameters=state.parameters,
-        noise=state.weighting.noise,
-        residual_noise=noise,
-        rms_train=rms,
-        rms_train_raw=rms_raw,
-        rms_cv=cross_validated_rms(folds, estimate),
-        processing=segments[0].options,
-        conditioning=conditioning(unweighted, model.base),
-        warnings=unique_warnings(found),
-        provenance=provenance or Provenance(_version(), ()),
-        temperature_mean=temperature_mean,
-        certificate=certificate,
-    )
+        model=model, method=method, values=state.solution.values, shapes=state.shapes,
+        covariance=covariance, shape_intervals=ends, parameters=state.parameters,
+        noise=state.weighting.noise, residual_noise=noise,
+        rms_train=rms, rms_train_raw=rms_raw, rms_cv=cross_validated_rms(folds, estimate),
+        processing=segments[0].options, conditioning=conditioning(unweighted, model.base),
+        warnings=unique_warnings(found), provenance=provenance or Provenance(_version(), ()),
+        temperature_mean=temperature_mean, certificate=certificate,
+    )  # fmt: skip
 
 
 def _prepared(

@@ -157,11 +157,8 @@ def _rows(fit: Fit, values: Array, named: set[int]) -> tuple[list[int], list[str
         amount = np.sum(links[links != 0.0] * values[links != 0.0])
         if not involved & named or not np.isfinite(amount) or abs(amount) < SMALL:
             continue
-        if involved <= named:
-            exact.append(row)
-        else:
-            wider.append(row)
-            others |= involved - named
+        (exact if involved <= named else wider).append(row)
+        others |= involved - named
     if exact:
         return exact, []
     if wider:

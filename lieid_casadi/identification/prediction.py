@@ -108,21 +108,11 @@ def _as_measured(segment: Recording, processing: Processing) -> Processed:
     dq = segment.dq if segment.dq is not None else derivative(q)
     ddq = segment.ddq if segment.ddq is not None else derivative(dq)
     return Processed(
-        t=t,
-        q=q,
-        dq=dq,
-        ddq=ddq,
-        tau=segment.tau,
-        temperature=segment.temperature,
-        payload_label=None,
-        recording=segment,
-        rate=segment.rate if len(t) > 1 else 1.0,
-        cutoff=processing.cutoff or 1.0,
-        dead_zone=np.zeros(q.shape[1]),
-        moving=dq != 0.0,
-        options=processing,
-        command=segment.command,
-    )
+        t=t, q=q, dq=dq, ddq=ddq, tau=segment.tau, temperature=segment.temperature,
+        payload_label=None, recording=segment, rate=segment.rate if len(t) > 1 else 1.0,
+        cutoff=processing.cutoff or 1.0, dead_zone=np.zeros(q.shape[1]), moving=dq != 0.0,
+        options=processing, command=segment.command,
+    )  # fmt: skip
 
 
 def center_temperature(

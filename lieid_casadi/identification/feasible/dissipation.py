@@ -132,16 +132,9 @@ def _columns(
         q = q + 2.0 * np.pi * FAR * np.cumsum(np.sign(dq), axis=0)
         time = time + FAR * np.arange(len(time))
     columns = compiled.effect_columns(
-        q,
-        dq,
-        np.zeros_like(dq),
-        load=a[:, None] * load,
-        temperature=b[:, None] * temperature,
-        time=time,
-        shapes=shapes,
-        dead_zone=np.zeros(model.n),
-        joint_effects_only=True,
-    )
+        q, dq, np.zeros_like(dq), load=a[:, None] * load, temperature=b[:, None] * temperature,
+        time=time, shapes=shapes, dead_zone=np.zeros(model.n), joint_effects_only=True,
+    )  # fmt: skip
     return (columns[1:], dq[1:]) if memory else (columns, dq)
 
 
