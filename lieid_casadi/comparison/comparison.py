@@ -350,7 +350,8 @@ def _noise(c: Comparison, remedy: str) -> str:
         noise = ": no systematic error is detectable" if ratio[most] <= AS_NOISE else ""
         return f"The error in motion is at most {ratio[most]:.2g} times {floor}{noise}."
     where = "every joint" if beyond.all() and c.n > 1 else joints_text(beyond)
-    return (
-        f"On {where} the error in motion is more than {BEYOND_NOISE:g} times {floor}, most on "
-        f"joint {most + 1} ({ratio[most]:.2g} times): part of it is systematic; {remedy}."
-    )
+    size = f"{ratio[most]:.2g} times"
+    of_floor = f"{size} {floor}"
+    if beyond.sum() > 1:
+        of_floor = f"more than {BEYOND_NOISE:g} times {floor}, most on joint {most + 1} ({size})"
+    return f"On {where} the error in motion is {of_floor}: part of it is systematic; {remedy}."

@@ -20,6 +20,7 @@ from lieid_casadi.identification.prediction import center_temperature, training_
 from lieid_casadi.identification.recording_checks import Provenance, Source, check_recordings
 from lieid_casadi.identification.regression.cross_validation import (
     Estimate,
+    Fold,
     cross_validated_rms,
     fold_factors,
 )
@@ -142,6 +143,7 @@ def identify_segments(
     regularization: float | None = None,
     held_shapes: Array | None = None,
     uncertainty: bool = True,
+    held_out: bool = True,
     known: Sequence[FilteredColumns] | None = None,
     warnings: Sequence[LieidWarning] = (),
     report: Progress = lambda stage, fraction: None,
@@ -157,7 +159,8 @@ def identify_segments(
     Temperatures of the segments are relative to ``temperature_mean`` (n,), °C; ``known`` columns
     are shared by fits of models of one robot (`Design`). False for ``uncertainty`` leaves the
     covariance and the training errors NaN and the residual's noise white: for models of which only
-    values are compared, since these take longer than the fit.
+    values are compared, since these take longer than the fit. False for ``held_out`` leaves the
+    cross-validated error NaN, for models that are compared with other recordings.
     """
     model, found = compiled.model, list(warnings)
     report("regress", 0.3)
@@ -171,7 +174,9 @@ def identify_segments(
             "all other torques; expected motion"
         )
     least = state
-    folds = fold_factors(design, state.rows, state.weighting.noise, state.solution.values)
+    folds: tuple[Fold, ...] = ()
+    if held_out:
+        folds = fold_factors(design, state.rows, state.weighting.noise, state.solution.values)
     unweighted = stacked(state.rows)
     found += fit_warnings.of_regression(model, segments, state, unweighted, settled=settled)
     rms = rms_raw = np.full(model.n, np.nan)
@@ -201,7 +206,8 @@ def identify_segments(
         model=model, method=method, values=state.solution.values, shapes=state.shapes,
         covariance=covariance, shape_intervals=ends, parameters=state.parameters,
         noise=state.weighting.noise, residual_noise=noise,
-        rms_train=rms, rms_train_raw=rms_raw, rms_cv=cross_validated_rms(folds, estimate),
+        rms_train=rms, rms_train_raw=rms_raw,
+        rms_cv=cross_validated_rms(folds, estimate) if folds else np.full(model.n, np.nan),
         processing=segments[0].options, conditioning=conditioning(unweighted, model.base),
         warnings=unique_warnings(found), provenance=provenance or Provenance(_version(), ()),
         temperature_mean=temperature_mean, certificate=certificate,

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
-from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ModelError
-from lieid_casadi.identification.regression.segment_columns import effect_signals, effects_along
+from lieid_casadi.identification.regression.segment_columns import model_along
 from lieid_casadi.recording.processed import Processed, Processing, process
 from lieid_casadi.recording.recording import Recording
 
@@ -29,16 +27,9 @@ def torque_along(
     fitted: bool = False,
 ) -> Array:
     """Return the model's torque (K, n) on a segment's grid, not filtered, N·m."""
-    coefficients = parameters[10 * compiled.n :]
-    rigid = compiled.inverse_dynamics(
-        segment.q, segment.dq, segment.ddq, parameters[: 10 * compiled.n]
-    )
-    if any(isinstance(p.effect, ArmEffect) for p in compiled.model.placements):
-        effects = effects_along(compiled, segment, shapes, parameters, fitted=fitted)
-        return np.asarray(rigid + effects @ coefficients)
-    signals: dict[str, Any] = effect_signals(segment, shapes, rigid)
-    motion = segment.q, segment.dq, segment.ddq
-    return rigid + compiled.effect_torque(*motion, coefficients, **signals, joint_effects_only=True)
+    arm = model_along(compiled, segment, shapes, parameters, fitted=fitted)
+    own = (arm.coefficients[k] * column for k, column in arm.arm_columns().items())
+    return np.asarray(sum(own, start=arm.torque))
 
 
 def training_rms(

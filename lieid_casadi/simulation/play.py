@@ -9,7 +9,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects.backlash import Backlash, motor_in_play
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.regression.segment_columns import ModelAlongSegment
+from lieid_casadi.identification.regression.segment_columns import model_along
 from lieid_casadi.recording import Processed
 
 LARGEST = Backlash.coefficients[0].limit  # rad
@@ -78,9 +78,7 @@ class Coordinates:
 
         The place of the links in their play is that of `lieid_casadi.effects.backlash`.
         """
-        arm = ModelAlongSegment(
-            fit.compiled, segment, fit.parameters, np.zeros((len(segment), 0, 0)), False, fit.shapes
-        )
+        arm = model_along(fit.compiled, segment, fit.shapes, fit.parameters, fitted=False)
         q, dq = [segment.q], [segment.dq]
         for play in self.plays:
             place = motor_in_play(arm, play.joint, play.width)[:, None]

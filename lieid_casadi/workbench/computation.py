@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import tempfile
 import zipfile
@@ -63,6 +64,7 @@ PART_ROWS = 15_000  # of the grid, in each of two parts of which models with sha
 SHAPE_ROWS = 5_000  # of each of these parts, which shape parameters are found on
 KEPT_RESULTS, KEPT_PREPARED = 40, 8  # of each kind; of processed recordings, which are large
 MOST_STRETCHES = 8  # of each recording in such a part
+GRID = ("t", "q", "dq", "ddq", "tau", "temperature", "moving", "command")  # arrays of a segment
 LEAST_DURATION = 5.0  # s, of a stretch; the filter needs a second at each of its ends
 REMEDY = "“Find what is missing” searches the library of effects"
 
@@ -110,8 +112,9 @@ class Computation:
 
         A quick one leaves out what takes longer than the fit: standard deviations, and the noise
         floor, which is that of the model before; a first model has both unless the recordings are
-        very long. It is exact but for models with shape parameters of long recordings: of the fits
-        of two separate parts, each joint has the larger error of all unseen rows. Errors of
+        very long. It is exact but for models with shape parameters of long recordings: these are
+        found on a small part, and of the fits of two other parts with them, each joint has the
+        larger error of all unseen rows. Errors of
         training of very long recordings are unknown.
         ``processing`` is that of the fits of another process, so that all have the same filter.
         """
@@ -132,7 +135,7 @@ class Computation:
             model, first = Model(self.robot, step.effects), self._first(step, 1.0, report)
             kept = first
             if first.model.effects != model.effects:
-                train = self._prepared("train", step, first, 1.0)
+                train = self._prepared("train", step, first)
                 kept = train.fitted(model, first, report=report)
         return self._keep(("fit", step.key), kept)
 
@@ -206,14 +209,12 @@ class Computation:
             export(fit, target, to=kind)
             return f"{fit.model.robot.name}_{kind}.zip", _zipped(target)
 
-    def used(
-        self, step: ModelStep, share: float = 1.0, delay: float = 0.0
-    ) -> tuple[list[Recording], list[Recording]]:
+    def used(self, step: ModelStep, share: float = 1.0) -> tuple[list[Recording], list[Recording]]:
         """Return training and test recordings without what is excluded, or a share of them."""
         used: dict[str, list[Recording]] = {"train": [], "test": []}
         both = zip(self.inputs.recordings, self.recordings, strict=True)
         for k, (given, recording) in enumerate(both):
-            used[given.role] += used_parts(recording, k, step.excluded, share, delay)
+            used[given.role] += used_parts(recording, k, step.excluded, share)
         if not used["train"]:
             raise UsageError("no training recording is left; undo the exclusion or open another")
         return used["train"], used["test"]
@@ -238,31 +239,31 @@ class Computation:
     def _quick_fits(self, step: ModelStep, share: float, report: Progress) -> list[Fit]:
         """Return the fit without standard deviations, or those of two parts if that takes long."""
         model, first = Model(self.robot, step.effects), self._first(step, share, report)
-        train = self._prepared("train", step, first, 1.0)
-        rows = sum(len(segment.q) for segment in train.segments)
+        tested = any(given.role == "test" for given in self.inputs.recordings)
+        quick: dict[str, Any] = {"uncertainty": False, "held_out": not tested, "report": report}
+        train = self._prepared("train", step, first)
+        rows = sum(len(segment) for segment in train.segments)
         fitted = np.array([shape.fitted for shape in model.shapes], dtype=bool)
         if rows <= 4 * SHAPE_ROWS or not fitted.any():
-            return [train.fitted(model, first, uncertainty=False, report=report)]
-        fits = []
-        for delay in (0.0, 0.5):
-            size = min(0.5, PART_ROWS / rows)
-            part = self._prepared("train", step, first, size, delay)
-            few = self._prepared("train", step, first, SHAPE_ROWS / rows, delay)
-            shapes = few.fitted(model, first, uncertainty=False, report=report).shapes
-            held = np.where(fitted, shapes, np.nan)
-            fits.append(
-                part.fitted(model, first, held_shapes=held, uncertainty=False, report=report)
-            )
-        return fits
+            return [train.fitted(model, first, **quick)]
+        few = self._prepared("train", step, first, SHAPE_ROWS / rows)
+        held = np.where(fitted, few.fitted(model, first, **quick).shapes, np.nan)
+        size = min(0.5, PART_ROWS / rows)
+        parts = (self._prepared("train", step, first, size, delay) for delay in (0.0, 0.5))
+        return [part.fitted(model, first, held_shapes=held, **quick) for part in parts]
 
     def _prepared(
-        self, role: Role, step: ModelStep, fit: Fit, share: float, delay: float = 0.0
+        self, role: Role, step: ModelStep, fit: Fit, share: float = 1.0, delay: float = 0.0
     ) -> PreparedRecordings:
-        """Return the recordings of a role, or a share of them, processed for fits of a step."""
+        """Return the recordings of a role, processed for fits of a step, or a share of them."""
         key = ("prepared", role, step.excluded, share, delay)
         if key not in self._results:
-            given = self.used(step, share, delay)[role == "test"]
-            self._keep(key, PreparedRecordings.of(fit, given, average=role == "train"))
+            if share < 1.0:
+                made = self._prepared(role, step, fit).part(share, delay)
+            else:
+                given = self.used(step)[role == "test"]
+                made = PreparedRecordings.of(fit, given, average=role == "train")
+            self._keep(key, made)
         return self._results[key]  # type: ignore[no-any-return]
 
     def _evaluation(
@@ -285,7 +286,7 @@ class Computation:
         shown = on_train = prepared.compared(fit, with_noise=complete and not test)
         on_test, error = None, fit.rms_cv
         if test:
-            prepared = self._prepared("test", step, fit, 1.0)
+            prepared = self._prepared("test", step, fit)
             shown = on_test = prepared.compared(fit, with_noise=complete)
             error = on_test.rms_moving
         if complete:
@@ -351,35 +352,32 @@ def recording_titles(inputs: WorkbenchInputs) -> list[str]:
 
 
 def used_parts(
-    recording: Recording,
-    number: int,
-    excluded: Sequence[ExcludedRange],
-    share: float = 1.0,
-    delay: float = 0.0,
+    recording: Recording, number: int, excluded: Sequence[ExcludedRange], share: float = 1.0
 ) -> list[Recording]:
-    """Return the parts of recording ``number`` that are not excluded; of each, a share below 1.
-
-    A share is made of stretches that are evenly spread, each after a part ``delay`` of its turn.
-    """
+    """Return the parts of recording ``number`` that are not excluded, or a share of each."""
     parts = []
     for start, end in kept_parts(excluded, number):
-        if start is None and end is None:
-            parts.append(recording)
-            continue
-        try:
-            parts.append(recording.cut(start, end))
-        except RecordingError:  # no rows between two excluded stretches
-            continue
+        with contextlib.suppress(RecordingError):  # no rows between two excluded stretches
+            whole = start is None and end is None
+            parts.append(recording if whole else recording.cut(start, end))
     if share >= 1.0:
         return parts
-    return [stretch for part in parts for stretch in _evenly_spread(part, share, delay)]
+    return [
+        part.rows(*ends) for part in parts for ends in stretches(len(part), part.duration, share)
+    ]
 
 
-def _evenly_spread(recording: Recording, share: float, delay: float) -> list[Recording]:
-    count = int(np.clip(share * recording.duration / LEAST_DURATION, 1, MOST_STRETCHES))
-    turn = len(recording) / count
+def stretches(
+    rows: int, duration: float, share: float, delay: float = 0.0
+) -> list[tuple[int, int]]:
+    """Return first rows and ends of evenly spread stretches that are a share of all rows.
+
+    Each begins after a part ``delay`` of its turn; ``duration`` is that of all rows, s.
+    """
+    count = int(np.clip(share * duration / LEAST_DURATION, 1, MOST_STRETCHES))
+    turn = rows / count
     starts = (np.arange(count) + delay) * turn
-    return [recording.rows(int(start), int(start + share * turn)) for start in starts]
+    return [(int(start), int(start + share * turn)) for start in starts]
 
 
 @dataclass(frozen=True, eq=False)
@@ -406,6 +404,15 @@ class PreparedRecordings:
         found += [w for segment in segments for w in segment.warnings]
         return cls(tuple(recordings), segments, tuple(found))
 
+    def part(self, share: float, delay: float) -> PreparedRecordings:
+        """Return evenly spread stretches of the segments; see `stretches`."""
+        found = []
+        for s in self.segments:
+            arrays = {k: v for k, v in vars(s).items() if k in GRID and v is not None}
+            for first, end in stretches(len(s), len(s) / s.rate, share, delay):
+                found.append(replace(s, **{k: v[first:end] for k, v in arrays.items()}))
+        return replace(self, segments=tuple(found))
+
     @cached_property
     def _known(self) -> tuple[FilteredColumns, ...]:
         """Filtered columns of each segment, which all fitted models share."""
@@ -419,10 +426,12 @@ class PreparedRecordings:
         report: Progress,
         held_shapes: Array | None = None,
         uncertainty: bool = True,
+        held_out: bool = True,
     ) -> Fit:
         """Return the fit of another model with the method and filter of the first one.
 
-        Without ``uncertainty``, standard deviations are left out; they take longer than the fit.
+        Without ``uncertainty``, standard deviations are left out, which take longer than the fit;
+        without ``held_out``, cross-validated errors.
         """
         check_recordings(model, self.recordings)
         return identify_segments(
@@ -431,6 +440,7 @@ class PreparedRecordings:
             method="wls",
             held_shapes=held_shapes,
             uncertainty=uncertainty,
+            held_out=held_out,
             temperature_mean=first.temperature_mean,
             provenance=first.provenance,
             known=self._known,

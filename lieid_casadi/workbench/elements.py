@@ -12,12 +12,23 @@ from nicegui import ui
 from nicegui.element import Element
 
 from lieid_casadi.comparison.comparison import AS_NOISE, BEYOND_NOISE
+from lieid_casadi.comparison.plot_style import (
+    BACKWARD,
+    ERROR,
+    FORWARD,
+    MEASURED,
+    PREDICTED,
+    REST,
+)
 from lieid_casadi.workbench.workbench import Workbench
 
 E = TypeVar("E", bound=Element)
 UNKNOWN_COLOUR = "#b8bec4"
 BAND, COMPARED, FIRST = "#9fb6c6", "#009e73", "#9aa5b1"
-PLAIN = {"animation": False, "textStyle": {"fontFamily": "inherit"}}  # options of all charts
+COLOURS = {
+    "measured": MEASURED, "predicted": PREDICTED, "error": ERROR, "forward": FORWARD,
+    "backward": BACKWARD, "rest": REST, "band": BAND, "compared": COMPARED,
+}  # fmt: skip
 #: Largest error over noise floor of each class and its colour; readable without red and green.
 SCALE = (
     (AS_NOISE, "#7fb8dc"),
@@ -31,7 +42,8 @@ def open_page() -> None:
     """Load the style and the functions of the page, ``page.css`` and ``page.js``."""
     files = resources.files("lieid_casadi.workbench")
     ui.add_css(files.joinpath("page.css").read_text("utf-8"))
-    ui.add_body_html(f"<script>{files.joinpath('page.js').read_text('utf-8')}</script>")
+    functions = files.joinpath("page.js").read_text("utf-8")
+    ui.add_body_html(f"<script>const colours = {COLOURS};\n{functions}</script>")
     ui.colors(primary="#0b4f8a")
 
 
@@ -160,55 +172,29 @@ def ratio_colour(multiple: float | None) -> str:
 
 
 class Chart:
-    """An ECharts chart whose options are not properties of the page's element.
+    """A chart, drawn by ``page.js`` from data that are not properties of the page's element.
 
     Properties are observed down to every sample, here and in the browser, and the whole page is
-    rendered again after a change; both take longer than to draw the chart. Series have an ``id``.
+    rendered again after a change; both take longer than to draw the chart.
     """
 
-    def __init__(self, name: str, options: dict[str, Any]) -> None:
+    def __init__(self, name: str, **data: Any) -> None:
         self.element = named(ui.echart({}), name).classes(name)
-        self._shown: dict[str, Any] = {}
-        self.show(options, whole=True)
+        self._name, self._sent = name, dict[str, object]()
+        self.show(**data)
 
-    def show(self, options: dict[str, Any], *, whole: bool = False) -> None:
-        """Show other options; ``whole`` forgets what the browser has changed, such as the zoom."""
-        shown, self._shown = self._shown, options
-        whole = whole or _names(options) != _names(shown)
-        if not whole:
-            options = {key: value for key, value in options.items() if shown.get(key) != value}
-            if "series" in options:
-                both = zip(options["series"], shown["series"], strict=True)
-                options["series"] = [_difference(new, old) for new, old in both if new != old]
-        if options:
-            self.draw(options, whole=whole)
+    def show(self, *, whole: bool = False, **data: Any) -> None:
+        """Show other data; ``whole`` forgets what the user has changed, such as the zoom."""
+        changed = {k: v for k, v in data.items() if k not in self._sent or self._sent[k] != v}
+        self._sent |= changed
+        if changed or whole:
+            self.call("draw", self._name, changed, whole)
 
-    def draw(self, options: dict[str, Any], *, whole: bool = False) -> None:
-        """Merge options into those that the browser has, which are not compared with later ones."""
-        content = msgspec.json.encode(options).decode()
-        self.call("draw", f"{content}, {str(whole).lower()}")
-
-    def call(self, function: str, *arguments: str) -> None:
+    def call(self, function: str, *arguments: object) -> None:
         """Call a function of ``page.js`` for this chart."""
-        script = f"{function}({', '.join([str(self.element.id), *arguments])})"
-        self.element.client.run_javascript(script)
+        words = [msgspec.json.encode(each).decode() for each in (self.element.id, *arguments)]
+        self.element.client.run_javascript(f"{function}({', '.join(words)})")
 
     def run(self, method: str, *arguments: Any) -> None:
         """Run a method of the chart in the browser."""
         self.element.run_chart_method(method, *arguments)
-
-
-def noise_band(floor: float | None) -> dict[str, Any]:
-    """Return the noise floor as a band around zero, for a series of a chart."""
-    ends = [] if floor is None else [[{"yAxis": -floor}, {"yAxis": floor}]]
-    return {"silent": True, "itemStyle": {"color": BAND, "opacity": 0.35}, "data": ends}
-
-
-def _names(options: dict[str, Any]) -> list[str]:
-    return [series["id"] for series in options.get("series", ())]
-
-
-def _difference(new: dict[str, Any], old: dict[str, Any]) -> dict[str, Any]:
-    """Return the entries of a series that have changed, with its ``id``."""
-    changed = {key: value for key, value in new.items() if old.get(key) != value}
-    return {"id": new["id"], **changed}

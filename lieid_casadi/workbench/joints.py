@@ -16,7 +16,6 @@ from lieid_casadi.workbench.elements import (
     BAND,
     COMPARED,
     FIRST,
-    PLAIN,
     Chart,
     Parts,
     View,
@@ -258,7 +257,7 @@ class WaterfallView(View):
         super().__init__(workbench)
         with ui.column().classes("panel w-full h-full"):
             self._title = text("Error of the models, first model = 1", "panel-title")
-            self._chart = Chart("waterfall", _waterfall_options([], None))
+            self._chart = Chart("waterfall", **_waterfall([], None))
 
     def update(self) -> None:
         """Draw the first model, the one that is shown, and the compared one."""
@@ -273,7 +272,7 @@ class WaterfallView(View):
         ]
         known = [(title, colour, errors) for title, colour, errors in models if errors is not None]
         if known and len(known) == len(models) and self.is_new(known, playing):
-            self._chart.show(_waterfall_options(known, playing))
+            self._chart.show(**_waterfall(known, playing))
 
 
 def relative(values: Numbers, first: Numbers) -> list[float | None]:
@@ -284,43 +283,28 @@ def relative(values: Numbers, first: Numbers) -> list[float | None]:
     ]
 
 
-def _waterfall_options(
+def _waterfall(
     models: list[tuple[str, str, StepErrors]], playing: Numbers | None
 ) -> dict[str, Any]:
-    """Return bars of each model (title, colour, errors); the second one's may be on their way."""
-    series: list[dict[str, Any]] = []
-    for k, (title, colour, errors) in enumerate(models):
-        shown = playing if k == 1 and playing is not None else errors.shown
-        series.append(
-            {"id": f"model {k}", "type": "bar", "name": _shortened(title), "color": colour,
-             "barGap": "8%", "data": relative(shown, models[0][2].shown)}
-        )  # fmt: skip
-    if models:
-        first, last = models[0][2], models[min(1, len(models) - 1)][2]
-        trained = relative(last.train, first.train) if any(first.train) else []
-        series += [
-            {"id": "training", "type": "scatter", "name": "training", "symbol": "diamond",
-             "symbolSize": 9, "data": trained, "z": 5,
-             "itemStyle": {"color": "white", "borderColor": "#222222", "borderWidth": 1.2}},
-            {"id": "noise", "type": "scatter", "name": "noise floor", "symbol": "rect",
-             "symbolSize": [26, 2], "color": "#222222", "z": 5,
-             "data": relative(last.noise_floor, first.shown)},
-        ]  # fmt: skip
-    joints = range(1, len(models[0][2].shown) + 1) if models else ()
+    """Return the bars of models (title, colour, errors); those of the second may be on their way.
+
+    The training error and the noise floor are those of the second model.
+    """
+    if not models:
+        return {"models": [], "training": [], "noise": [], "playing": False}
+    first, last = models[0][2], models[min(1, len(models) - 1)][2]
+    bars = []
+    for k, (title, color, errors) in enumerate(models):
+        values = playing if k == 1 and playing is not None else errors.shown
+        bars.append(
+            {"name": _shortened(title), "color": color, "errors": relative(values, first.shown)}
+        )
     return {
-        **PLAIN,
-        "animation": playing is not None,
-        "animationDurationUpdate": 300,
-        "grid": {"left": 46, "right": 8, "top": 50, "bottom": 34},
-        "legend": {"type": "plain", "top": 0, "left": 0, "itemWidth": 12, "itemHeight": 8,
-                   "itemGap": 8, "textStyle": {"fontSize": 11}},
-        "tooltip": {"trigger": "axis"},
-        "xAxis": {"type": "category", "data": [str(j) for j in joints], "name": "joint",
-                  "nameLocation": "middle", "nameGap": 20, "axisLabel": {"interval": 0}},
-        "yAxis": {"type": "value", "min": 0, "name": "error / that of the first model",
-                  "nameLocation": "middle", "nameGap": 32},
-        "series": series,
-    }  # fmt: skip
+        "models": bars,
+        "training": relative(last.train, first.train) if any(first.train) else [],
+        "noise": relative(last.noise_floor, first.shown),
+        "playing": playing is not None,
+    }
 
 
 def _shortened(title: str, most: int = 26) -> str:

@@ -33,30 +33,208 @@ function acceptDrops(id) {
   });
 }
 
-// Options of a chart, once the browser has made it. One that cannot be seen is drawn when it is
-// scrolled into view.
-function draw(id, options, whole) {
+// Charts: the server sends data, what follows makes options of ECharts from them. `colours` are the
+// server's.
+const PLAIN = { animation: false, textStyle: { fontFamily: 'inherit' } };
+const LEGEND = { top: 0, right: 10, itemHeight: 8, textStyle: { fontSize: 11 } };
+const LINE = { type: 'line', showSymbol: false, silent: true };
+
+// The noise floor as a band around zero.
+function noiseBand(floor) {
+  const data = floor == null ? [] : [[{ yAxis: -floor }, { yAxis: floor }]];
+  return { silent: true, itemStyle: { color: colours.band, opacity: 0.35 }, data };
+}
+
+// A symmetric range of an axis with five labels.
+function around(limit) { return { min: -limit, max: limit, interval: limit / 2 }; }
+
+// Grids and axes of panels beside each other with one scale of their vertical axis.
+function beside(titles, name, limits, range) {
+  const width = 94 / Math.max(titles.length, 1);
+  return {
+    grid: titles.map((_, k) => (
+      { left: `${6 + k * width}%`, width: `${width - 2}%`, top: 30, bottom: 42 })),
+    xAxis: titles.map((title, k) => ({
+      type: 'value', gridIndex: k, scale: true, nameLocation: 'middle', nameGap: 22, name: title,
+      splitNumber: 4, axisLine: { onZero: false }, ...range,
+      axisLabel: { hideOverlap: true, fontSize: 10, showMaxLabel: false } })),
+    yAxis: titles.map((_, k) => ({
+      type: 'value', scale: true, axisLine: { onZero: false }, nameGap: 36,
+      nameLocation: 'middle', gridIndex: k, name: k ? '' : name, ...limits,
+      axisLabel: { show: !k, fontSize: 10, hideOverlap: true } })),
+  };
+}
+
+const CHARTS = {
+  // Torques and error along a recording; of a compared model, too.
+  'torque-plot': (d) => {
+    const below = { ...LINE, xAxisIndex: 1, yAxisIndex: 1 };
+    const x = { type: 'value', min: d.span[0], max: d.span[1] };
+    const y = { type: 'value', scale: true, nameLocation: 'middle', nameGap: 40,
+      axisLabel: { hideOverlap: true } };
+    const names = ['measured', 'predicted', 'error'];
+    if (d.other.predicted?.length) names.push('predicted (compared)', 'error (compared)');
+    const leftOut = {
+      silent: true, itemStyle: { color: '#b0b6bc', opacity: 0.35 }, emphasis: { disabled: true },
+      label: { color: '#52606d', fontSize: 10 },
+      data: d.excluded.map(([a, b]) => [{ xAxis: a, name: 'excluded' }, { xAxis: b }]) };
+    const series = (id, name, color, data, width, more) => (
+      { ...LINE, id, name, color, data: data ?? [], lineStyle: { width }, ...more });
+    const compared = { color: colours.compared, lineStyle: { width: 1.2, type: 'dashed' } };
+    return {
+      grid: [{ left: 62, right: 14, top: 26, height: '42%' },
+        { left: 62, right: 14, top: '58%', bottom: 54 }],
+      legend: { ...LEGEND, data: names },
+      xAxis: [{ ...x, gridIndex: 0, axisLabel: { show: false } },
+        { ...x, gridIndex: 1, name: 'time [s]', nameLocation: 'middle', nameGap: 20,
+          axisLabel: { hideOverlap: true, showMaxLabel: false }, axisLine: { onZero: false } }],
+      yAxis: [{ ...y, gridIndex: 0, name: `torque [${d.unit}]`, splitNumber: 4 },
+        { ...y, gridIndex: 1, name: `error [${d.unit}]`, splitNumber: 3 }],
+      axisPointer: { link: [{ xAxisIndex: 'all' }] },
+      dataZoom: [
+        { type: 'inside', xAxisIndex: [0, 1], filterMode: 'none', moveOnMouseMove: false,
+          zoomOnMouseWheel: true },
+        { type: 'slider', xAxisIndex: [0, 1], filterMode: 'none', height: 16, bottom: 4,
+          showDataShadow: false, brushSelect: false }],
+      brush: { xAxisIndex: 'all', brushLink: 'all', toolbox: [], throttleType: 'debounce',
+        throttleDelay: 100, outOfBrush: { colorAlpha: 1 } },
+      toolbox: { show: false },
+      series: [
+        series('measured', 'measured', colours.measured, d.lines.measured, 2.4,
+          { markArea: leftOut }),
+        series('predicted', 'predicted', colours.predicted, d.lines.predicted, 1.3),
+        series('error', 'error', colours.error, d.lines.error, 1.1,
+          { ...below, markArea: noiseBand(d.noise) }),
+        { ...below, id: 'cursor', data: [], markLine: cursor(d.time) },
+        series('other', names[3], colours.compared, d.other.predicted, 1.3, compared),
+        series('other error', names[4], colours.compared, d.other.error, 1.1,
+          { ...below, ...compared }),
+      ],
+    };
+  },
+
+  // The error over each signal; forward and backward motion apart.
+  'residual-plot': (d) => {
+    const kinds = [['at rest', 'rest'], ['forward', 'forward'], ['backward', 'backward']];
+    const values = d.panels.flatMap((p) => kinds.flatMap(([, key]) => p[key].map((xy) => xy[1])));
+    const sizes = values.map(Math.abs).sort((a, b) => a - b);
+    const inside = sizes[Math.floor(0.995 * sizes.length)] || 1;  // a few samples are outside
+    const limit = Number((1.1 * inside).toPrecision(2));
+    return {
+      ...beside(d.panels.map((p) => `${p.title} [${p.unit}]`), `error [${d.unit}]`,
+        around(limit)),
+      legend: { ...LEGEND, data: ['forward', 'backward', 'at rest'] },
+      series: d.panels.flatMap((p, k) => {
+        const axes = { xAxisIndex: k, yAxisIndex: k, silent: true };
+        const samples = kinds.map(([name, key]) => (  // large: one path for all, drawn much faster
+          { ...axes, id: `${k} ${name}`, type: 'scatter', name, data: p[key], symbolSize: 3,
+            symbol: 'rect', color: colours[key], itemStyle: { opacity: 0.45 }, large: true,
+            largeThreshold: 100 }));
+        samples[0].markArea = noiseBand(d.noise);
+        const means = [['forward', 'solid'], ['backward', 'dashed']].map(([name, type]) => (
+          { ...axes, id: `${k} mean ${name}`, type: 'line', name, data: p[`${name}_mean`],
+            color: colours[name], z: 4, showSymbol: false, lineStyle: { width: 2.6, type } }));
+        return [...samples, ...means];
+      }),
+    };
+  },
+
+  // Correlations of the error, and what noise gives.
+  'correlation-plot': (d) => {
+    const values = d.panels.flatMap((p) => p.values.map(([, y]) => Math.abs(y)));
+    const limit = Math.max(Math.ceil(5 * values.reduce((a, b) => Math.max(a, b), 0)), 1) / 5;
+    const bars = (p, k, name, color, use) => (
+      { id: `${k} ${name}`, name, type: 'bar', xAxisIndex: k, yAxisIndex: k, barWidth: 3,
+        barGap: '-100%', color, silent: true, data: p.values.filter(use) });
+    return {
+      ...beside(d.panels.map((p) => `${p.title}, lag [s]`), 'correlation',
+        around(limit), { min: 'dataMin', max: 'dataMax' }),
+      legend: { ...LEGEND, data: ['as noise', 'beyond noise'] },
+      series: d.panels.flatMap((p, k) => [
+        bars(p, k, 'beyond noise', colours.error, ([, y]) => Math.abs(y) > p.band),
+        { ...bars(p, k, 'as noise', colours.predicted, ([, y]) => Math.abs(y) <= p.band),
+          markArea: noiseBand(p.band) }]),
+    };
+  },
+
+  'spectrum-plot': (d) => ({
+    ...beside(['frequency [Hz]'], `RMS [${d.unit}]`, { min: 0 }, { max: 'dataMax' }),
+    legend: { ...LEGEND, data: ['error', 'white noise of the noise floor'] },
+    series: [
+      { ...LINE, id: 'spectrum', name: 'error', color: colours.error, areaStyle: { opacity: 0.2 },
+        data: d.values },
+      { ...LINE, id: 'level', name: 'white noise of the noise floor', color: '#52606d',
+        lineStyle: { type: 'dashed', width: 1.2 },
+        data: d.level == null || !d.values.length ? []
+          : [[0, d.level], [d.values.at(-1)[0], d.level]] },
+    ],
+  }),
+
+  // Errors of models relative to those of the first one.
+  waterfall: (d) => {
+    const mark = (name, data, more) => (
+      { id: name, type: 'scatter', name, data, z: 5, color: '#222222', ...more });
+    return {
+      animation: d.playing,
+      animationDurationUpdate: 300,
+      grid: { left: 46, right: 8, top: 50, bottom: 34 },
+      legend: { type: 'plain', top: 0, left: 0, itemWidth: 12, itemHeight: 8, itemGap: 8,
+        textStyle: { fontSize: 11 } },
+      tooltip: { trigger: 'axis' },
+      xAxis: { type: 'category', data: d.models[0]?.errors.map((_, j) => `${j + 1}`) ?? [],
+        name: 'joint', nameLocation: 'middle', nameGap: 20, axisLabel: { interval: 0 } },
+      yAxis: { type: 'value', min: 0, name: 'error / that of the first model',
+        nameLocation: 'middle', nameGap: 32 },
+      series: [
+        ...d.models.map(({ name, color, errors }, k) => (
+          { id: `model ${k}`, type: 'bar', name, color, barGap: '8%', data: errors })),
+        mark('training', d.training, { symbol: 'diamond', symbolSize: 9,
+          itemStyle: { color: 'white', borderColor: '#222222', borderWidth: 1.2 } }),
+        mark('noise floor', d.noise, { symbol: 'rect', symbolSize: [26, 2] }),
+      ],
+    };
+  },
+};
+
+function cursor(time) {
+  return { symbol: 'none', animation: false, label: { show: false },
+    lineStyle: { color: '#333333', type: 'solid' }, data: time == null ? [] : [{ xAxis: time }] };
+}
+
+// What each chart shows: its data, whether to forget what the user has changed, such as the zoom,
+// and, once it is drawn, its number of panels and its options without the series.
+const shown = new Map();
+
+// Draw what has changed once the browser has made the chart and it is scrolled into view.
+function draw(id, kind, data, whole) {
+  if (!shown.has(id)) shown.set(id, { kind, data: {} });
+  const kept = shown.get(id);
+  Object.assign(kept.data, data);
+  kept.whole ||= whole;
   const chart = getElement(id)?.chart;
-  if (!chart) { setTimeout(() => draw(id, options, whole), 20); return; }
-  const place = chart.getDom();
-  const later = place.later;
-  if (!later || whole) place.later = { options, whole };
-  else {
-    const known = new Map((later.options.series ?? []).map((s) => [s.id, s]));
-    for (const s of options.series ?? []) known.set(s.id, { ...known.get(s.id), ...s });
-    const series = known.size ? { series: [...known.values()] } : {};
-    place.later = { options: { ...later.options, ...options, ...series }, whole: later.whole };
-  }
-  place.seen ??= new IntersectionObserver((found) => {
+  if (!chart) { setTimeout(() => draw(id, kind, {}, false), 20); return; }
+  kept.seen ??= new IntersectionObserver((found) => {
     if (!found.at(-1).isIntersecting) return;
-    const { options, whole } = place.later;
-    chart.setOption(options, whole);
-    if (whole && options.brush) startBrush(chart);
-    place.later = null;
-    place.seen.disconnect();
+    kept.seen.disconnect();
+    const options = { ...PLAIN, ...CHARTS[kept.kind](kept.data) };
+    const panels = [options.grid].flat().length, notMerge = kept.whole || panels !== kept.panels;
+    const { series, ...look } = options, known = notMerge ? {} : kept.look;
+    const changed = Object.entries(look).filter(
+      ([key, value]) => JSON.stringify(value) !== JSON.stringify(known[key]));
+    const replaceMerge = ['series'];
+    chart.setOption({ series, ...Object.fromEntries(changed) }, { notMerge, replaceMerge });
+    if (notMerge && options.brush) startBrush(chart);
+    Object.assign(kept, { panels, look, whole: false });
   }, { rootMargin: '100px' });
-  place.seen.disconnect();
-  place.seen.observe(place);
+  kept.seen.disconnect();
+  kept.seen.observe(chart.getDom());
+}
+
+function moveCursor(id, time) {
+  const kept = shown.get(id);
+  kept.data.time = time;
+  const series = [{ id: 'cursor', markLine: cursor(time) }];
+  if (kept.panels) getElement(id)?.chart?.setOption({ series });
 }
 
 // A click on a chart emits its horizontal coordinate.

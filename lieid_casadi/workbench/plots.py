@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from nicegui import ui
@@ -13,18 +13,11 @@ from nicegui.events import GenericEventArguments, ValueChangeEventArguments
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison.plot_style import (
-    BACKWARD,
-    ERROR,
-    FORWARD,
-    MEASURED,
-    PREDICTED,
-    REST,
     envelope,
     thin,
 )
 from lieid_casadi.comparison.plots import binned_mean, intervals
 from lieid_casadi.comparison.series import (
-    Correlation,
     Series,
     residual_correlations,
     residual_spectrum,
@@ -32,13 +25,10 @@ from lieid_casadi.comparison.series import (
 )
 from lieid_casadi.tables import figures
 from lieid_casadi.workbench.elements import (
-    COMPARED,
-    PLAIN,
     Chart,
     View,
     button,
     named,
-    noise_band,
     set_text,
     text,
 )
@@ -101,12 +91,14 @@ class TorquePlot(View):
                     "flat size=sm",
                 )
                 button("Whole recording", "whole-recording", self._reset, "flat size=sm")
-            self._chart = Chart("torque-plot", _torque_options((0.0, 1.0), {}, {}, None, "N·m", []))
+            self._chart = Chart(
+                "torque-plot", span=(0, 1), lines={}, other={}, noise=None, unit="", excluded=[]
+            )
         element = self._chart.element
         element.on("chart:datazoom", self._zoomed, throttle=0.12, leading_events=False)
         element.on("chart:brushEnd", self._brushed, ["areas"])
         element.on("instant", self._show_instant)
-        self._chart.call("emitClicks", "'instant'")
+        self._chart.call("emitClicks", "instant")
 
     def update(self) -> None:
         """Draw the current evaluation; the window of time stays if the recording does."""
@@ -145,13 +137,13 @@ class TorquePlot(View):
         )
         self._recording.set_options([r.name for r in opened.recordings], value=recording.name)
         self._chart.show(
-            _torque_options(span, lines, other, noise, unit, excluded), whole=new_recording
-        )
+            span=span, lines=lines, other=other, noise=noise, unit=unit, excluded=excluded,
+            whole=new_recording,
+        )  # fmt: skip
 
     def move_cursor(self, time: float) -> None:
         """Show the time of the arm's pose."""
-        line = {"id": "cursor", "markLine": {"data": [{"xAxis": round(time, 3)}]}}
-        self._chart.draw({"series": [line]})
+        self._chart.call("moveCursor", round(time, 3))
 
     def _choose_recording(self, event: ValueChangeEventArguments[str | None]) -> None:
         workbench = self.workbench
@@ -213,88 +205,8 @@ class TorquePlot(View):
         self._chart.run("dispatchAction", {"type": "dataZoom", "start": 0, "end": 100})
 
 
-def _torque_options(
-    span: tuple[float, float],
-    lines: dict[str, Line],
-    other: dict[str, Line],
-    noise: float | None,
-    unit: str,
-    excluded: list[tuple[float, float]],
-) -> dict[str, Any]:
-    """Return the options of the plot: lines of the model that is shown, and of a compared one."""
-    x_axis = {"type": "value", "min": span[0], "max": span[1]}
-    y_axis = {"type": "value", "scale": True, "nameLocation": "middle", "nameGap": 40}
-    labels = {"hideOverlap": True, "showMaxLabel": False}
-    names = ["measured", "predicted", "error"]
-    names += ["predicted (compared)", "error (compared)"] if other.get("predicted") else []
-    return {
-        **PLAIN,
-        "grid": [
-            {"left": 62, "right": 14, "top": 26, "height": "42%"},
-            {"left": 62, "right": 14, "top": "58%", "bottom": 54},
-        ],
-        "legend": LEGEND | {"data": names},
-        "xAxis": [
-            {**x_axis, "gridIndex": 0, "axisLabel": {"show": False}},
-            {**x_axis, "gridIndex": 1, "name": "time [s]", "nameLocation": "middle", "nameGap": 20,
-             "axisLabel": labels, "axisLine": {"onZero": False}},
-        ],
-        "yAxis": [
-            {**y_axis, "gridIndex": 0, "name": f"torque [{unit}]", "splitNumber": 4,
-             "axisLabel": {"hideOverlap": True}},
-            {**y_axis, "gridIndex": 1, "name": f"error [{unit}]", "splitNumber": 3,
-             "axisLabel": {"hideOverlap": True}},
-        ],
-        "axisPointer": {"link": [{"xAxisIndex": "all"}]},
-        "dataZoom": [
-            {"type": "inside", "xAxisIndex": [0, 1], "filterMode": "none",
-             "moveOnMouseMove": False, "zoomOnMouseWheel": True},
-            {"type": "slider", "xAxisIndex": [0, 1], "filterMode": "none", "height": 16,
-             "bottom": 4, "showDataShadow": False, "brushSelect": False},
-        ],
-        "brush": {"xAxisIndex": "all", "brushLink": "all", "toolbox": [],
-                  "throttleType": "debounce", "throttleDelay": 100,
-                  "outOfBrush": {"colorAlpha": 1.0}},
-        "toolbox": {"show": False},
-        "series": _torque_series(lines, other, noise, excluded),
-    }  # fmt: skip
-
-
-def _torque_series(
-    lines: dict[str, Line],
-    other: dict[str, Line],
-    noise: float | None,
-    excluded: list[tuple[float, float]],
-) -> list[dict[str, Any]]:
-    line = {
-        "type": "line", "showSymbol": False, "animation": False, "silent": True,
-        "connectNulls": False,
-    }  # fmt: skip
-    below = {"xAxisIndex": 1, "yAxisIndex": 1}
-    left_out = {
-        "silent": True, "itemStyle": {"color": EXCLUDED, "opacity": 0.35},
-        "label": {"color": "#52606d", "fontSize": 10}, "emphasis": {"disabled": True},
-        "data": [[{"xAxis": a, "name": "excluded"}, {"xAxis": b}] for a, b in excluded],
-    }  # fmt: skip
-    return [
-        {**line, "id": "measured", "name": "measured", "color": MEASURED,
-         "lineStyle": {"width": 2.4}, "data": lines.get("measured", []), "markArea": left_out},
-        {**line, "id": "predicted", "name": "predicted", "color": PREDICTED,
-         "lineStyle": {"width": 1.3}, "data": lines.get("predicted", [])},
-        {**line, **below, "id": "error", "name": "error", "color": ERROR,
-         "lineStyle": {"width": 1.1}, "data": lines.get("error", []),
-         "markArea": noise_band(noise)},
-        {**line, **below, "id": "cursor", "data": [],
-         "markLine": {"symbol": "none", "animation": False, "label": {"show": False},
-                      "lineStyle": {"color": "#333333", "type": "solid"}, "data": []}},
-        {**line, "id": "other", "name": "predicted (compared)", "color": COMPARED,
-         "lineStyle": {"width": 1.3, "type": "dashed"}, "data": other.get("predicted", [])},
-        {**line, **below, "id": "other error", "name": "error (compared)", "color": COMPARED,
-         "lineStyle": {"width": 1.1, "type": "dashed"}, "data": other.get("error", [])},
-    ]  # fmt: skip
-
-
-class ErrorOverSignal(NamedTuple):
+@dataclass(frozen=True)
+class ErrorOverSignal:
     """Error of one joint over one signal: samples and means, forward and backward apart."""
 
     title: str
@@ -397,7 +309,7 @@ class ResidualPlot(SeriesView):
         super().__init__(workbench)
         with ui.column().classes("panel w-full"):
             self._title = text("What the error follows", "panel-title")
-            self._chart = Chart("residual-plot", _residual_options([], None, ""))
+            self._chart = Chart("residual-plot", panels=[], noise=None, unit="")
 
     of_view = True
 
@@ -407,70 +319,7 @@ class ResidualPlot(SeriesView):
         panels = errors_over_signals(shown.series, shown.joint, window, revolute=shown.revolute)
         where = "" if window is None else f", {window[0]:.2f} to {window[1]:.2f} s"
         set_text(self._title, f"What the error of joint {shown.joint + 1} follows{where}")
-        self._chart.show(_residual_options(panels, shown.floor, shown.unit))
-
-
-def _axes(titles: list[str], y_name: str, *, limit: float | None = None) -> dict[str, Any]:
-    """Return grids and axes of panels beside each other with one scale of their vertical axis."""
-    width = 94.0 / max(len(titles), 1)
-    vertical = {"type": "value", "scale": True, "axisLine": {"onZero": False}, "nameGap": 36,
-                "nameLocation": "middle"}  # fmt: skip
-    if limit is not None:
-        vertical |= {"min": -limit, "max": limit}
-    return {
-        "grid": [
-            {"left": f"{6.0 + k * width}%", "width": f"{width - 2.0}%", "top": 30, "bottom": 42}
-            for k in range(len(titles))
-        ],
-        "xAxis": [
-            {"type": "value", "gridIndex": k, "scale": True, "nameLocation": "middle",
-             "nameGap": 22, "name": title, "splitNumber": 4, "axisLine": {"onZero": False},
-             "axisLabel": {"hideOverlap": True, "fontSize": 10, "showMaxLabel": False}}
-            for k, title in enumerate(titles)
-        ],
-        "yAxis": [
-            {**vertical, "gridIndex": k, "name": "" if k else y_name,
-             "axisLabel": {"show": not k, "fontSize": 10, "hideOverlap": True}}
-            for k in range(len(titles))
-        ],
-    }  # fmt: skip
-
-
-def _residual_options(
-    panels: list[ErrorOverSignal], floor: float | None, unit: str
-) -> dict[str, Any]:
-    values = [y for p in panels for line in (p.forward, p.backward, p.rest) for _, y in line]
-    largest = max((abs(y) for y in values if y is not None), default=1.0) or 1.0
-    titles = [f"{panel.title} [{panel.unit}]" for panel in panels]
-    series: list[dict[str, Any]] = []
-    for k, p in enumerate(panels):
-        axes = {"xAxisIndex": k, "yAxisIndex": k, "silent": True}
-        samples = (
-            ("at rest", p.rest, REST), ("forward", p.forward, FORWARD),
-            ("backward", p.backward, BACKWARD),
-        )  # fmt: skip
-        series += [
-            {**axes, "id": f"{k} {name}", "type": "scatter", "name": name, "data": data,
-             "symbolSize": 3, "symbol": "rect", "color": colour, "itemStyle": {"opacity": 0.45},
-             "large": True, "largeThreshold": 100}  # one path for all samples: drawn much faster
-            for name, data, colour in samples
-        ]  # fmt: skip
-        series[-3]["markArea"] = noise_band(floor)
-        series += [
-            {**axes, "id": f"{k} mean {name}", "type": "line", "name": name, "data": data,
-             "color": colour, "z": 4, "showSymbol": False,
-             "lineStyle": {"width": 2.6, "type": kind}}
-            for name, data, colour, kind in (
-                ("forward", p.forward_mean, FORWARD, "solid"),
-                ("backward", p.backward_mean, BACKWARD, "dashed"),
-            )
-        ]  # fmt: skip
-    return {
-        **PLAIN,
-        **_axes(titles, f"error [{unit}]", limit=float(f"{1.05 * largest:.2g}")),
-        "legend": LEGEND | {"data": ["forward", "backward", "at rest"]},
-        "series": series,
-    }
+        self._chart.show(panels=panels, noise=shown.floor, unit=shown.unit)
 
 
 class CorrelationPlot(SeriesView):
@@ -480,38 +329,18 @@ class CorrelationPlot(SeriesView):
         super().__init__(workbench)
         with ui.column().classes("panel w-full"):
             self._title = text("Correlation of the error", "panel-title")
-            self._chart = Chart("correlation-plot", _correlation_options([]))
+            self._chart = Chart("correlation-plot", panels=[])
 
     def draw(self, shown: Shown) -> None:
         """Draw the correlations along the recording."""
         found = residual_correlations(shown.series, shown.joint, shown.cutoff)
         title = f"Correlation of the error of joint {shown.joint + 1}"
         set_text(self._title, f"{title}; grey: 99 % of what noise gives")
-        self._chart.show(_correlation_options(found))
-
-
-def _correlation_options(found: list[Correlation]) -> dict[str, Any]:
-    largest = max((float(np.abs(c.value).max()) for c in found), default=1.0)
-    limit = max(math.ceil(5.0 * largest), 1) / 5.0
-    series: list[dict[str, Any]] = []
-    for k, each in enumerate(found):
-        outside = np.abs(each.value) > each.band
-        for name, use, colour in (
-            ("beyond noise", outside, ERROR),
-            ("as noise", ~outside, PREDICTED),
-        ):
-            series.append(
-                {"id": f"{k} {name}", "name": name, "type": "bar", "xAxisIndex": k, "yAxisIndex": k,
-                 "barWidth": 3, "barGap": "-100%", "color": colour, "silent": True,
-                 "data": pairs(each.lag[use], each.value[use])}
-            )  # fmt: skip
-        series[-1]["markArea"] = noise_band(each.band)
-    return {
-        **PLAIN,
-        **_axes([f"{c.title}, lag [s]" for c in found], "correlation", limit=limit),
-        "legend": LEGEND | {"data": ["as noise", "beyond noise"]},
-        "series": series,
-    }  # fmt: skip
+        self._chart.show(
+            panels=[
+                {"title": c.title, "band": c.band, "values": pairs(c.lag, c.value)} for c in found
+            ]
+        )
 
 
 class SpectrumPlot(SeriesView):
@@ -525,10 +354,9 @@ class SpectrumPlot(SeriesView):
             with ui.row().classes("w-full items-center no-wrap gap-1"):
                 self._title = text("Spectrum of the error", "panel-title grow", "spectrum-title")
                 button("Show the largest peak", "spectrum-peak", self._largest, "flat size=sm")
-            options = _spectrum_options(self._frequency, self._amplitude, None, "N·m")
-            self._chart = Chart("spectrum-plot", options)
+            self._chart = Chart("spectrum-plot", values=[], level=None, unit="")
         self._chart.element.on("frequency", self._clicked)
-        self._chart.call("emitClicks", "'frequency'")
+        self._chart.call("emitClicks", "frequency")
 
     def draw(self, shown: Shown) -> None:
         """Draw the spectrum along the recording."""
@@ -538,7 +366,7 @@ class SpectrumPlot(SeriesView):
         set_text(self._title, f"Spectrum of the error of joint {shown.joint + 1}; click a peak")
         # white noise of the size of the noise floor has this amplitude at each frequency
         level = None if shown.floor is None else shown.floor / math.sqrt(max(len(found[0]), 1))
-        self._chart.show(_spectrum_options(*found, level, shown.unit))
+        self._chart.show(values=pairs(*found), level=level, unit=shown.unit)
 
     def _clicked(self, event: GenericEventArguments) -> None:
         if isinstance(event.args, (int, float)) and len(self._frequency):
@@ -557,25 +385,3 @@ class SpectrumPlot(SeriesView):
         self.workbench.look(replace(self.workbench.view, instant=time))
         what = f"{figures(frequency)} Hz: largest at {time:.2f} s"
         set_text(self._title, f"Spectrum of the error of joint {joint + 1}; {what}")
-
-
-def _spectrum_options(
-    frequency: Array, amplitude: Array, level: float | None, unit: str
-) -> dict[str, Any]:
-    line = {"type": "line", "silent": True, "showSymbol": False}
-    ends = (
-        [] if level is None or not len(frequency) else [[0.0, level], [float(frequency[-1]), level]]
-    )
-    axes = _axes(["frequency [Hz]"], f"RMS [{unit}]")
-    return {
-        **PLAIN,
-        **axes,
-        "yAxis": [{**axes["yAxis"][0], "min": 0}],
-        "legend": LEGEND | {"data": ["error", "white noise of the noise floor"]},
-        "series": [
-            {**line, "id": "spectrum", "name": "error", "color": ERROR,
-             "areaStyle": {"opacity": 0.2}, "data": pairs(frequency, amplitude)},
-            {**line, "id": "level", "name": "white noise of the noise floor", "color": "#52606d",
-             "lineStyle": {"type": "dashed", "width": 1.2}, "data": ends},
-        ],
-    }  # fmt: skip

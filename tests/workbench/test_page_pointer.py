@@ -103,7 +103,7 @@ def a_peak_of_the_spectrum_is_shown_on_the_arm(page):
 
     def clicked():
         plot = page.element("spectrum-plot")
-        ActionChains(page.driver).move_to_element_with_offset(plot, 60, 0).click().perform()
+        ActionChains(page.driver).move_to_element_with_offset(plot, -150, 0).click().perform()
 
     from selenium.webdriver import ActionChains
 

@@ -234,9 +234,9 @@ class Design:
         Filtered are those that changed since the last call: a search moves one effect at a time.
         """
         segment = self.segments[number]
-        effects = effects_along(self.compiled, segment, shapes, links)
+        effects = effects_along(self.compiled, segment, shapes, links, wanted=self._wanted)
         joints, places = self._pairs
-        raw = effects[:, joints, self._wanted[places]]
+        raw = effects[:, joints, places]
         before = self._evaluated[number]
         if before is None:
             filtered = segment.filter(raw)

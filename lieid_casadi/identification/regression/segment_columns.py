@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects.arm_effect import ArmEffect
-from lieid_casadi.model import Model
+from lieid_casadi.model import Model, Slot
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.processed import Processed
 from lieid_casadi.robot import Drive
@@ -28,8 +28,6 @@ class ModelAlongSegment:
     compiled: Compiled
     segment: Processed
     parameters: Array  # (10 n + m,): link parameters and effect coefficients
-    #: (K, n, m): columns of effects on single joints; those of effects on the whole arm are zero
-    joint_columns: Array
     fitted: bool  # whether the model was fitted to this segment
     shapes: Array  # (s,): shape parameters of the effects
     unknown_at_rest: bool = False  # whether friction at rest counts as unknown, otherwise as zero
@@ -67,7 +65,7 @@ class ModelAlongSegment:
     @cached_property
     def torque(self) -> Array:
         """Torque (K, n) of the rigid arm and all effects on single joints, N·m."""
-        return np.asarray(self.load + self.joint_columns @ self.coefficients)
+        return self.load + self.joint_torque_at(self.load)
 
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Return the rigid torque (K, n) of another motion, N·m."""
@@ -112,16 +110,31 @@ class ModelAlongSegment:
         """Return the tool's Jacobian (K, 6, n), [ω; v], base axes."""
         return self.compiled.jacobian(self.segment.q)
 
+    def arm_columns(self) -> dict[int, Array]:
+        """Return the columns (K, n) of effects on the whole arm, by their positions."""
+        found: dict[int, Array] = {}
+        for slot, effect in _arm_effects(self.compiled.model):
+            values = np.concatenate([self.coefficients[slot.columns], self.shapes[slot.shapes]])
+            columns = effect.segment_columns(self, slot.placement.joint, values)
+            found |= {slot.columns.start + i: columns[..., i] for i in range(columns.shape[2])}
+        return found
+
     def joint_torque_at(self, load: Array) -> Array:
         """Return the torque (K, n) of effects on single joints at another load (K, n), N·m."""
         signals: dict[str, Any] = effect_signals(self.segment, self.shapes, load)
-        columns = self.compiled.effect_columns(*self.motion, **signals, joint_effects_only=True)
-        return np.asarray(columns @ self.coefficients)
+        given = (*self.motion, self.coefficients)
+        return self.compiled.effect_torque(*given, **signals, joint_effects_only=True)
 
     def tool_regressor(self) -> Array:
         """Return the rigid torque (K, n, 10) per link parameter of a body in the tool's frame."""
         last = self.compiled.regressor(*self.motion)[:, :, -10:]
         return np.asarray(last @ parameter_transport(self.compiled.model.robot.tool))
+
+
+def _arm_effects(model: Model) -> list[tuple[Slot, ArmEffect]]:
+    """Return the effects on the whole arm with the places of their columns."""
+    both = ((slot, slot.placement.effect) for slot in model.slots)
+    return [(slot, effect) for slot, effect in both if isinstance(effect, ArmEffect)]
 
 
 @lru_cache(maxsize=8)
@@ -156,14 +169,9 @@ def model_along(
     fitted: bool = True,
 ) -> ModelAlongSegment:
     """Return the model along a segment."""
-    load = compiled.inverse_dynamics(
-        segment.q, segment.dq, segment.ddq, parameters[: 10 * compiled.n]
-    )
-    signals: dict[str, Any] = effect_signals(segment, shapes, load)
-    columns = compiled.effect_columns(
-        segment.q, segment.dq, segment.ddq, **signals, joint_effects_only=True
-    )
-    return ModelAlongSegment(compiled, segment, parameters, columns, fitted, shapes)
+    every = np.zeros(10 * compiled.n + len(compiled.model.columns))
+    every[: len(parameters)] = parameters
+    return ModelAlongSegment(compiled, segment, every, fitted, shapes)
 
 
 def effects_along(
@@ -173,23 +181,25 @@ def effects_along(
     parameters: Array | None,
     *,
     fitted: bool = True,
+    wanted: NDArray[np.intp] | None = None,
 ) -> Array:
-    """Return the columns of all effects (K, n, m) along a segment."""
-    if parameters is None:
-        signals: dict[str, Any] = effect_signals(segment, shapes, None)
-        return compiled.effect_columns(
-            segment.q, segment.dq, segment.ddq, **signals, joint_effects_only=True
-        )
-    every = np.zeros(10 * compiled.n + len(compiled.model.columns))
-    every[: len(parameters)] = parameters
-    arm = model_along(compiled, segment, shapes, every, fitted=fitted)
-    arm_effects = [x for x in compiled.model.slots if isinstance(x.placement.effect, ArmEffect)]
-    if not arm_effects:
-        return arm.joint_columns
-    columns = arm.joint_columns.copy()
-    for slot in arm_effects:
-        effect, joint = slot.placement.effect, slot.placement.joint
-        assert isinstance(effect, ArmEffect)
-        values = np.concatenate([arm.coefficients[slot.columns], shapes[slot.shapes]])
-        columns[:, :, slot.columns] = effect.segment_columns(arm, joint, values)
+    """Return the columns of all effects (K, n, m) along a segment, or of ``wanted`` ones."""
+    if parameters is None:  # and no load, from which effects on the whole arm follow
+        arm, zero = None, np.zeros((len(segment), compiled.n))
+        slots = [slot.columns for slot, _ in _arm_effects(compiled.model)]
+        own = {k: zero for columns in slots for k in range(columns.start, columns.stop)}
+    else:
+        arm = model_along(compiled, segment, shapes, parameters, fitted=fitted)
+        own = arm.arm_columns()
+    kept = range(len(compiled.model.columns)) if wanted is None else wanted.tolist()
+    if all(k in own for k in kept):  # other columns, which are large, are not needed
+        columns = np.zeros((len(segment), compiled.n, len(kept)))
+    else:
+        signals: dict[str, Any] = effect_signals(segment, shapes, None if arm is None else arm.load)
+        motion = segment.q, segment.dq, segment.ddq
+        columns = compiled.effect_columns(*motion, **signals, joint_effects_only=True)
+        columns = columns if wanted is None else columns[:, :, wanted]
+    for place, k in enumerate(kept):
+        if k in own:
+            columns[:, :, place] = own[k]
     return columns
