@@ -253,7 +253,7 @@ def acknowledge(args: argparse.Namespace) -> output.Outcome:
         last = acknowledge(history, args.serial, joint=args.joint, note=args.note, last=args.date)
         lasting = [alarm for alarm in alarms if alarm.last == last]
         advice = (
-            "The arm differed from its fit until the last night. If the change lasts: "
+            "The arm differed from its fit until the last night. If the change lasts, "
             f"{identify_again(history, lasting[0])}"
             if lasting
             else ""

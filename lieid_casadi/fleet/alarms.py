@@ -375,17 +375,17 @@ def evidence(history: History, alarm: Alarm) -> dict[str, Any]:
 
 
 def identify_again(history: History, alarm: Alarm) -> str:
-    """Return how to identify an arm again that differs from its fit since an alarm."""
+    """Return what to do with an arm that differs from its fit since an alarm: identify it again."""
     rows = history.rows(
-        "SELECT recording, a.fit FROM runs r JOIN arms a USING (serial, fit_sha256) WHERE "
-        "serial = ? AND date >= ? AND status = 'done' ORDER BY date DESC, recording LIMIT 5",
+        "SELECT DISTINCT recording, date, a.fit FROM runs r JOIN arms a USING (serial, fit_sha256) "
+        "WHERE serial = ? AND date >= ? AND status = 'done' ORDER BY date DESC, recording LIMIT 5",
         [alarm.serial, alarm.since],
     )
-    recordings = shlex.join(recording for recording, _ in rows)
-    old, first = rows[0][1] if rows else "", alarm.last + timedelta(days=1)
+    recordings = shlex.join(recording for recording, *_ in rows)
+    old, first = rows[0][2] if rows else "", alarm.last + timedelta(days=1)
     new = f"{alarm.serial}-{first}.json"
     return (
-        f"To identify the arm again: lieid identify ROBOT {recordings} -o {new}, and in the fleet "
+        f"identify the arm again: lieid identify ROBOT {recordings} -o {new}, and in the fleet "
         f"file fit: [{{path: {old}}}, {{path: {new}, from: {first}}}]. With the old fit another "
         "motion can look like a change."
     )

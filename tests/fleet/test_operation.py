@@ -2,10 +2,12 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 from datetime import date, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -107,6 +109,11 @@ def test_a_payload_from_a_night_on_reruns_no_earlier_night(call, capsys):
     assert {(n.serial, n.date) for n in call.ran} == {("A1", "2026-01-03"), ("A1", LAST)}
     assert all(n.payloads[0][1][0] == 1.0 for n in call.ran)
     assert "New alarm" not in capsys.readouterr().out.partition("2 done")[2]
+    path = str(call.folder / "h.duckdb")
+    assert main(["fleet", "acknowledge", path, "A1", "--note", "known"]) == 0
+    (shown,) = re.findall("lieid identify ROBOT (.*) -o", " ".join(capsys.readouterr().out.split()))
+    recordings = shown.split()  # of which each has two runs: without the payload, and with it
+    assert [Path(each).name for each in recordings] == [f"{LAST}.csv", "2026-01-03.csv"]
 
 
 def test_a_new_fit_starts_a_baseline_and_closes_the_alarms_before_it(call):
