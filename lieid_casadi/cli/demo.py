@@ -67,18 +67,21 @@ def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
 
 def shown(demo: Demo, folder: Path) -> tuple[str | Table, ...]:
     """Return the excitation, the verdict, and the error per joint before and after."""
+    from lieid_casadi.report.reports import diagnosis_summary
+
     before, after = demo.comparison, demo.better_comparison
     joints = [f"{j} {name}" for j, name in enumerate(before.joint_names, start=1)]
-    numbers = (before.rms_moving, after.rms_moving, demo.diagnosis.noise_floor, after.torque_rms)
+    numbers = (before.rms_moving, after.rms_moving, after.torque_rms)
     errors = make_table(
         "RMS error on a run that was not fitted, joints in motion, N·m",
-        ["joint", "+".join(demo.fit.model.effects), "diagnosed", "noise floor", "measured torque"],
+        ["joint", "+".join(demo.fit.model.effects), "diagnosed", "measured torque"],
         zip(joints, *(x.tolist() for x in numbers), strict=True),
     )
     return (
         f"Excitation: condition number {demo.excitation.condition_number:.3g}, "
         f"{demo.excitation.duration:.0f} s.",
         demo.diagnosis.sentence,
+        diagnosis_summary(demo.diagnosis),
         errors,
         f"The report is {folder}/report.html; {folder} also has the excitation, recordings, fits "
         "and C code.",

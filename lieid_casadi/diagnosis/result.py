@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+SAME = 0.995  # of an error: a noise floor from there on is the same number
+
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
@@ -195,18 +197,21 @@ class Diagnosis:
             [name, *map(float, values)] for name, values in zip(names, errors, strict=True)
         ]
         reference, values = self.reference
-        rows.append([reference, *map(float, values)])
-        if self.expected is None:
-            source = SOURCES[self.noise_source]
-            note = (
-                "Each row adds an effect to the row above and fits the linear parameters again; "
-                "the last one is the final fit."
-            )
-        else:
+        source = SOURCES[self.noise_source]
+        note = (
+            "Each row adds an effect to the row above and fits the linear parameters again; "
+            "the last one is the final fit."
+        )
+        if self.expected is not None:
             source, note = "held-out error of the fit", "The model is kept."
+        if self.expected is not None or np.any(values < SAME * errors[-1]):
+            rows.append([reference, *map(float, values)])
+        else:
+            reference = "last row"  # the noise floor would repeat its numbers
+        about = f"; {reference}: {source}" if np.isfinite(values).any() else ""
         return make_table(
-            f"RMS error on the {measured}, N·m (low-pass {self.fit.processing.cutoff:.3g} Hz; "
-            f"{reference}: {source})",
+            f"RMS error on the {measured}, N·m (low-pass {self.fit.processing.cutoff:.3g} Hz"
+            f"{about})",
             ["model", *(f"joint {j + 1}" for j in range(len(self.joint_names)))],
             rows,
             note=note,

@@ -101,6 +101,16 @@ def test_verdict_comes_first_and_numbers_follow(page, comparison):
         assert source.sha256 in text
 
 
+def test_a_noise_floor_that_repeats_the_last_errors_is_not_a_row(fit):
+    train, test = (arm.recording(12.0, seed=s, noise=0.2) for s in (3, 4))
+    found = lieid.diagnose(fit.model, train, test)
+    last = found.shown[1][-1]
+    lower, same = (replace(found, noise_floor=k * last).error_table() for k in (0.5, 1.0))
+    assert lower.rows[-1] == ("noise floor", *(0.5 * last))
+    assert same.rows == lower.rows[:-1]
+    assert "last row: part of the error that no function" in same.title
+
+
 def test_names_are_text(fit, comparison):
     robot = fit.model.robot
     joints = tuple(replace(joint, name=EVIL) for joint in robot.joints)
