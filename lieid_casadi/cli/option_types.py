@@ -25,10 +25,6 @@ class InputPath(str):
         return Path(path if at and not os.path.exists(self) else self)
 
 
-class Calibration(InputPath):
-    """A calibration file, or the word ``limits``."""
-
-
 class OutputFile(str):
     """A file that a command writes."""
 
@@ -77,7 +73,6 @@ def known_mass(text: str) -> tuple[str, float]:
 #: The kinds of values in the options of commands, by the names that they have there.
 KINDS: dict[str, Callable[[str], Any]] = {
     "input": InputPath,
-    "calibration": Calibration,
     "output": OutputFile,
     "folder": OutputFolder,
     "resumed": ResumedFolder,

@@ -185,7 +185,7 @@ SHARED = {
     "DATASETS": """
     == LeRobot datasets
     --episodes A:B  episodes A to B − 1, counted from 0; default: all
-    --calibration FILE|limits: calibration  LeRobot's calibration file, or limits: normalised ranges
+    --calibration FILE|limits: input  LeRobot's calibration file, or limits: normalised ranges
         end at the position limits
     """,
     "CORRECTIONS": """

@@ -7,16 +7,16 @@ import re
 from collections.abc import Sequence
 
 from lieid_casadi.exporters.simulator_joints import (
-    LinearFriction,
-    armature,
+    PassiveTorques,
+    actuator_law,
     beyond_linear_friction,
     file_name,
     left_out,
     linear_friction,
+    passive_torques,
 )
 from lieid_casadi.exporters.xml_text import allowed
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.robot import Joint
 
 HEAD = '''"""Joints of {robot}, identified by lieid-casadi {version}: SI units.
 
@@ -51,6 +51,7 @@ def isaaclab_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
     from lieid_casadi import __version__
 
     robot, friction = fit.model.robot, linear_friction(fit)
+    passive = [passive_torques(fit, j, own) for j, own in enumerate(friction)]
     notes = [
         "friction and dynamic_friction are efforts in Isaac Sim 5.0 and later, and coefficients "
         "without unit in 4.5",
@@ -58,22 +59,24 @@ def isaaclab_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
         "joint_velocity_limit; the names here work until 4.0",
         *beyond_linear_friction(friction),
     ]
-    unknown = sorted(left_out(fit, friction=True, besides=("armature", "offset")))
+    unknown = sorted(
+        left_out(fit, friction=True, besides=("armature", "offset", "torque_saturation"))
+    )
     if any(p.effect.name == "offset" for p in fit.model.placements):
         notes.append("not exported: the constant torque of offset")
     if unknown:
         notes.append(f"not exported: {', '.join(unknown)}")
     fields: dict[str, dict[str, float]] = {}
-    for j, (joint, own) in enumerate(zip(robot.joints, friction, strict=True)):
-        stiffness, damping, limit = _drive_of(joint)
+    for j, (joint, own) in enumerate(zip(robot.joints, passive, strict=True)):
+        law = actuator_law(fit, j)
         values = {
-            "stiffness": stiffness,
-            "damping": damping,
-            "armature": armature(fit, j) or 0.0,
-            "friction": own.loss,
-            "dynamic_friction": own.loss,
+            "stiffness": law.stiffness if law else 0.0,
+            "damping": law.damping if law else 0.0,
+            "armature": own.armature,
+            "friction": own.frictionloss,
+            "dynamic_friction": own.frictionloss,
             "viscous_friction": own.damping,
-            "effort_limit_sim": limit,
+            "effort_limit_sim": law.force if law else joint.limits.torque,
             "velocity_limit_sim": joint.limits.velocity,
         }
         for name, value in values.items():
@@ -88,7 +91,7 @@ def isaaclab_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
     of_mjlab = [
         f"mjlab has no field for viscous friction, {own.damping:.4g} N·m·s/rad of joint {j + 1}: "
         "it is the damping of the joint in the MuJoCo model"
-        for j, own in enumerate(friction)
+        for j, own in enumerate(passive)
         if own.damping
     ]
     of_mjlab += [
@@ -96,7 +99,7 @@ def isaaclab_files(fit: Fit) -> tuple[dict[str, bytes], list[str]]:
         for j, joint in enumerate(robot.joints)
         if joint.drive is None and not math.isfinite(joint.limits.torque)
     ]
-    kinds, actuators = _mjlab_actuators(fit, friction)
+    kinds, actuators = _mjlab_actuators(fit, passive)
     of_motors = notes[2:] + of_mjlab
     mjlab = MJLAB_HEAD.format(
         robot=title, version=__version__, notes=_listed(of_motors), kinds=", ".join(kinds)
@@ -115,35 +118,21 @@ def _listed(notes: Sequence[str]) -> str:
     return _in_docstring("\n".join(f"- {note}" for note in notes))
 
 
-def _mjlab_actuators(fit: Fit, friction: Sequence[LinearFriction]) -> tuple[list[str], list[str]]:
+def _mjlab_actuators(fit: Fit, passive: Sequence[PassiveTorques]) -> tuple[list[str], list[str]]:
     """Return the names of mjlab's classes that are used, and an actuator a line for each joint.
 
     Joints with a drive law are position actuators, others motors.
     """
     kinds, lines = set[str](), []
-    for j, (joint, own) in enumerate(zip(fit.model.robot.joints, friction, strict=True)):
-        stiffness, damping, limit = _drive_of(joint)
-        fields: dict[str, float] = {}
-        kind = "BuiltinMotorActuatorCfg"
-        if joint.drive is not None:
+    for j, (joint, own) in enumerate(zip(fit.model.robot.joints, passive, strict=True)):
+        law = actuator_law(fit, j)
+        kind, fields = "BuiltinMotorActuatorCfg", {"effort_limit": joint.limits.torque}
+        if law is not None:
             kind = "BuiltinPositionActuatorCfg"
-            fields = {"stiffness": stiffness, "damping": damping}
-        fields |= {"effort_limit": limit, "armature": armature(fit, j) or 0.0}
-        fields["frictionloss"] = own.loss
+            fields = {"stiffness": law.stiffness, "damping": law.damping, "effort_limit": law.force}
+        fields |= {"armature": own.armature, "frictionloss": own.frictionloss}
         kinds.add(kind)
         stated = {name: repr(float(x)) for name, x in fields.items() if math.isfinite(x)}
         words = ", ".join(f"{name}={text}" for name, text in stated.items())
         lines.append(f"    {kind}(target_names_expr=({re.escape(joint.name)!r},), {words}),")
     return sorted(kinds), lines
-
-
-def _drive_of(joint: Joint) -> tuple[float, float, float]:
-    """Return stiffness, damping and torque limit of a joint's drive; 0 where it has none."""
-    if joint.drive is None:
-        return 0.0, 0.0, joint.limits.torque
-    law = joint.drive.limited(joint.limits.torque)
-    return (
-        law.stiffness,
-        law.damping + law.derivative,
-        min(law.torque_limit, law.proportional_limit),
-    )

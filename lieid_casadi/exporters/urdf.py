@@ -156,7 +156,20 @@ def split(identified: Array, members: Sequence[RigidMember]) -> InertiaSplit:
     return InertiaSplit(identified - share * carried, share, heavy)
 
 
-def members_of(
+def named(root: Element, tag: str) -> dict[str, Element]:
+    """Return the elements of a tag below the root by their names."""
+    return {e.attributes.get("name", ""): e for e in root.children if e.tag == tag}
+
+
+def rigid_members(root: Element, fit: Fit) -> list[list[RigidMember]]:
+    """Return the links that are rigidly attached to each moving link of a fit."""
+    chain = {joint.name for joint in fit.model.robot.joints}
+    rigid = [element for name, element in named(root, "joint").items() if name not in chain]
+    links = named(root, "link")
+    return [_members_of(links, rigid, joint.link_name) for joint in fit.model.robot.joints]
+
+
+def _members_of(
     links: dict[str, Element], joints: Sequence[Element], child: str
 ) -> list[RigidMember]:
     """Return the links attached to a child link by joints outside the chain, held at zero."""
@@ -227,13 +240,10 @@ def edited_urdf(fit: Fit, text: str, friction: Sequence[LinearFriction]) -> tupl
     friction in <dynamics>, change.
     """
     document, notes = XmlText(text), []
-    links = {e.attributes.get("name", ""): e for e in document.root.children if e.tag == "link"}
-    joints = {e.attributes.get("name", ""): e for e in document.root.children if e.tag == "joint"}
-    chain = {joint.name for joint in fit.model.robot.joints}
-    rigid = [element for name, element in joints.items() if name not in chain]
-    bodies = fit.link_parameters.reshape(-1, 10)
-    for j, (joint, body) in enumerate(zip(fit.model.robot.joints, bodies, strict=True)):
-        shared = split(body, members_of(links, rigid, joint.link_name))
+    links, joints = (named(document.root, tag) for tag in ("link", "joint"))
+    bodies, rigid = fit.link_parameters.reshape(-1, 10), rigid_members(document.root, fit)
+    for j, joint in enumerate(fit.model.robot.joints):
+        shared = split(bodies[j], rigid[j])
         document.replace_child(links[joint.link_name], "inertial", inertial_text(shared.own))
         if shared.share < 1.0:
             for member in shared.members:

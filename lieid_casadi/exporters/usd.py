@@ -19,7 +19,7 @@ from lieid_casadi.exporters.simulator_joints import (
     check_possible,
     left_out,
 )
-from lieid_casadi.exporters.urdf import RigidMember, check_gravity, members_of, split
+from lieid_casadi.exporters.urdf import RigidMember, check_gravity, rigid_members, split
 from lieid_casadi.exporters.xml_text import XmlText
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot.inertia import body_inertia
@@ -78,7 +78,10 @@ def _edit(stage: Any, fit: Fit, origin: str) -> list[str]:
         for p in stage.Traverse()
         if p.HasAPI(UsdPhysics.RigidBodyAPI) or p.HasAPI(UsdPhysics.MassAPI)
     }
-    notes, rigid = [], _rigid_members(fit)
+    notes, source = list[str](), fit.model.robot.source
+    rigid: list[list[RigidMember]] = [[] for _ in fit.model.robot.joints]
+    if source is not None and source.kind == "urdf":
+        rigid = rigid_members(XmlText(source.text).root, fit)
     for j, joint in enumerate(fit.model.robot.joints):
         if joint.name not in joints:
             found = ", ".join(sorted(joints)) or "none"
@@ -97,19 +100,6 @@ def _edit(stage: Any, fit: Fit, origin: str) -> list[str]:
         _write_mass(link, shared.own, meter, kilogram)
         _write_armature(prim, armature(fit, j), joint.revolute, meter, kilogram)
     return notes
-
-
-def _rigid_members(fit: Fit) -> list[list[RigidMember]]:
-    """Return the links that are rigidly attached to each moving link."""
-    robot = fit.model.robot
-    if robot.source is None or robot.source.kind != "urdf":
-        return [[] for _ in robot.joints]
-    root, chain = XmlText(robot.source.text).root, {joint.name for joint in robot.joints}
-    links = {e.attributes.get("name", ""): e for e in root.children if e.tag == "link"}
-    rigid = [
-        e for e in root.children if e.tag == "joint" and e.attributes.get("name", "") not in chain
-    ]
-    return [members_of(links, rigid, joint.link_name) for joint in robot.joints]
 
 
 def _link_of(stage: Any, joint: Any, origin: str) -> Any:

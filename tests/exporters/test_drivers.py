@@ -50,6 +50,20 @@ def test_isaaclab_states_what_it_approximates_and_drives(tmp_path, monkeypatch):
     assert arm["damping"] == {"shoulder": 2.0, "elbow": 2.0}
 
 
+def test_the_back_emf_of_a_servo_is_friction_that_no_limit_of_the_actuator_affects(
+    tmp_path, monkeypatch
+):
+    law = lieid.servo_drive("sts3215", derivative=0.3)
+    fit = made_fit(lieid.robots.two_link().with_drives(law), "torque_saturation:1")
+    made = lieid.export(fit, tmp_path / "out", to="isaaclab")
+    arm, limited = actuators(made.files[0], monkeypatch), fit.model.robot.drives[1]
+    assert arm["damping"]["elbow"] == limited.derivative == 0.3
+    assert arm["viscous_friction"]["elbow"] == pytest.approx(limited.damping)
+    assert arm["effort_limit_sim"]["elbow"] == limited.proportional_limit
+    assert arm["effort_limit_sim"]["shoulder"] == pytest.approx(limited.stiffness * fit.shapes[0])
+    assert not any("not exported" in note for note in made.notes)
+
+
 @pytest.mark.parametrize("driven", [False, True])
 def test_mjlab_has_an_actuator_of_each_joint(tmp_path, monkeypatch, driven):
     robot = lieid.robots.two_link()
