@@ -90,18 +90,6 @@ def test_a_cache_that_cannot_be_written_gives_one_notice(fresh_process, caplog):
     assert fresh_process.read_text() == "a file where the folder should be"
 
 
-def test_a_cache_that_can_only_be_read_is_used(fresh_process, monkeypatch, caplog):
-    gravity(two_link())
-    forget(monkeypatch)
-
-    def refuse(*_, **__):
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(cache.tempfile, "mkstemp", refuse)
-    gravity(two_link())
-    assert not caplog.records
-
-
 def test_the_oldest_libraries_are_deleted(fresh_process, monkeypatch):
     monkeypatch.setattr(cache, "KEEP", 4)
     fresh_process.mkdir()

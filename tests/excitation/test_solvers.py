@@ -94,21 +94,3 @@ def test_exceptions_of_callbacks_are_raised_after_ipopt(problem, failure, where,
         )
     assert len(calls) == 2
     assert capfd.readouterr() == ("", "")
-
-
-def test_a_run_stops_at_a_violated_limit_that_is_not_a_row(problem):
-    """Without rows an objective that pulls outwards would leave every limit behind."""
-    size = problem.parametrization.size
-
-    def outwards(z):
-        return ObjectiveValue(
-            -float(z.sum()), -np.ones(size), np.eye(1), np.zeros(0), np.zeros((0, size))
-        )
-
-    seen = []
-    solver = Ipopt(problem.constraints(2), lambda stage, number, state: seen.append(state))
-    z = solver.minimize(outwards, np.zeros(size), iterations=80, tolerance=1e-6)
-    assert max(state.violation for state in seen) < 1.0
-    constraints = problem.constraints(2)
-    assert constraints.excess(constraints.sampled.motion(z)).max() < 0.01
-    assert seen[-1].outcome.value < -0.5

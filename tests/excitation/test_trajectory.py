@@ -7,7 +7,6 @@ from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation.trajectory import (
     Fourier,
     Parametrization,
-    SampledBasis,
     Trajectory,
     null_space,
 )
@@ -43,24 +42,6 @@ def test_rounding_does_not_rotate_the_free_variables():
     np.testing.assert_allclose(rows @ directions, 0.0, atol=1e-10 * np.abs(rows).max())
     np.testing.assert_allclose(directions.T @ directions, np.eye(directions.shape[1]), atol=1e-12)
     assert directions.shape[1] == rows.shape[1] - np.linalg.matrix_rank(rows)
-
-
-def test_sampled_motion_and_its_gradient(p):
-    rng = np.random.default_rng(4)
-    z, t = rng.normal(size=p.size), np.linspace(0.0, 7.5, 23)
-    sampled, motion = SampledBasis(p, t), p.trajectory(z).at(t)
-    samples = sampled.motion(z)
-    for name in ("q", "dq", "ddq"):
-        np.testing.assert_allclose(getattr(samples, name), getattr(motion, name), atol=1e-10)
-    weights = rng.normal(size=(2, 3, 23))
-
-    def value(z):
-        m = sampled.motion(z)
-        return np.sum(weights * np.stack([m.q.T, m.dq.T, m.ddq.T], axis=1))
-
-    direction = rng.normal(size=p.size)
-    expected = (value(z + direction) - value(z - direction)) / 2.0
-    assert np.isclose(sampled.gradient(weights) @ direction, expected)
 
 
 @pytest.mark.parametrize(

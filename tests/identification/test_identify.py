@@ -72,23 +72,6 @@ def test_the_fit_is_the_least_squares_solution_of_filtered_columns():
     np.testing.assert_allclose(fit.values, expected, rtol=1e-6, atol=1e-8)
 
 
-def test_outliers_affect_robust_less_than_wls():
-    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
-    arm, recording = measured(torque_noise=0.05)
-    tau = recording.tau.copy()
-    for start in range(400, 3600, 400):
-        tau[start : start + 30] += 15.0
-    hit = lieid.Recording.from_arrays(recording.t, recording.q, recording.dq, tau)
-    truth = true_base(model, arm)
-    error = {
-        method: np.linalg.norm(
-            lieid.identify(model, hit, method=method, processing=CUTOFF).values - truth
-        )
-        for method in ("wls", "robust")
-    }
-    assert error["robust"] < 0.5 * error["wls"]
-
-
 def test_a_shape_at_its_bound_is_reported():
     """A parabola is the limit of Stribeck curves of increasing width."""
     model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1")
