@@ -13,6 +13,7 @@ from lieid_casadi.diagnosis.events import moves_enough
 from lieid_casadi.diagnosis.incremental import incremental
 from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
 from lieid_casadi.effects.registry import usable
+from lieid_casadi.effects.smooth import Smooth
 from lieid_casadi.identification.regression.variable_projection import (
     ShapeRange,
     command_error_range,
@@ -138,8 +139,8 @@ def list_candidates(
     if not moves.any():
         return ()
     for effect in usable(model.library)[0].values():
-        if effect.option and not effect.whole_arm:  # of variants, only those of the whole arm
-            continue
+        if effect.option and not effect.whole_arm and (model_fixed or not is_form(effect)):
+            continue  # of variants, only those of the whole arm and forms of friction over speed
         if not effect.candidate or not _has_signals(effect, segments, commanded=commanded):
             continue
         if model_fixed:
@@ -210,6 +211,21 @@ def _temperature_range(segments: Sequence[Processed]) -> float:
     """Return the largest range of a joint's temperature in the recordings, °C."""
     values = [s.temperature for s in segments if s.temperature is not None]
     return float(np.ptp(np.concatenate(values), axis=0).max())
+
+
+def is_form(effect: Effect) -> bool:
+    """Return whether an effect is a variant of friction over speed.
+
+    Effects are compared with it; a path does not choose it.
+    """
+    variant = effect.option and not (effect.replaces or isinstance(effect, Smooth))
+    return bool(variant) and follows_velocity(effect)
+
+
+def follows_velocity(effect: Effect) -> bool:
+    """Return whether an effect is a function of its joint's velocity alone."""
+    alone = not (effect.states or effect.couples or effect.whole_arm)
+    return alone and {"dq", "sign"} >= set(effect.signals)
 
 
 def follows_commands(robot: Robot, segments: Sequence[Processed]) -> bool:

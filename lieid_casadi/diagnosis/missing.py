@@ -11,6 +11,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
+from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_form
 from lieid_casadi.diagnosis.evidence import Slot
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.motion import UnseenMotion
@@ -32,6 +33,7 @@ from lieid_casadi.diagnosis.steps import (
 )
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.placement import place
+from lieid_casadi.effects.registry import usable
 from lieid_casadi.errors import (
     LieidError,
     NoSolution,
@@ -169,11 +171,34 @@ class MissingEffects:
 
     def _final(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
         """Return the fit with all effects that the final model needs, and these effects."""
+        fit, accepted = self._with_other_forms(fit, accepted)
         while True:
             needed = self._needed(fit, accepted)
             if len(needed) == len(accepted):
                 return fit, accepted
             fit, accepted = self._plausible(needed)
+
+    def _with_other_forms(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
+        """Return the fit with another form of friction over speed in place of effects, if better.
+
+        It is better if the cross-validated error is lower by what an effect must be worth; with
+        fewer parameters, if it is not higher by as much.
+        """
+        for j in range(fit.model.n):
+            alike = [a for a in accepted if a.joint == j and follows_velocity(a.candidate.effect)]
+            for found in _other_forms(alike, self.first.model):
+                others = [a for a in accepted if a not in alike]
+                try:
+                    simpler = self._fitted([*others, found])
+                except NoSolution:
+                    continue
+                kept = self._with_plausible_values(simpler, [*others, found])
+                fewer = found.candidate.parameters < sum(a.candidate.parameters for a in alike)
+                most = fit.rms_cv[j] * (1.0 - self.options.worth) ** (-1 if fewer else 1)
+                if len(kept) > len(others) and simpler.rms_cv[j] <= most:
+                    fit, accepted = simpler, kept
+                    break
+        return fit, accepted
 
     def _needed(self, fit: Fit, accepted: Sequence[Accepted]) -> list[Accepted]:
         """Return the effects whose coefficients are determined and whose stated fall is enough.
@@ -335,6 +360,18 @@ class MissingEffects:
             temperature_mean=self.first.temperature_mean,
             provenance=self.first.provenance,
         )
+
+
+def _other_forms(alike: Sequence[Accepted], model: Model) -> list[Accepted]:
+    """Return the variants of friction over speed in the place of effects on one joint."""
+    found = []
+    for effect in usable(model.library)[0].values() if alike else ():
+        if is_form(effect):
+            own = next((a for a in alike if a.candidate.name == effect.name), alike[0])
+            grid = np.zeros((1, len(effect.shapes)))
+            form = Candidate(Placement(effect, own.joint), grid)
+            found.append(own.replaced_by(form, alike))
+    return found
 
 
 def _stage(accepted: Sequence[Accepted]) -> str:

@@ -17,8 +17,7 @@ from lieid_casadi.diagnosis.step import Rival
 
 EXACT = 1e-6  # part of a torque by which exact rivals differ
 LEAST_GAIN = 0.5  # of an effect's gain in its place
-MOST_COMPARED = 40  # groups with the largest gains
-EXAMINED = 8  # of them, that can replace most of the effect's torque
+EXAMINED = 8  # candidates with the largest gains that can replace most of the effect's torque
 BLOCK = 1.0  # s, at least, of blocks whose errors are compared
 
 
@@ -90,20 +89,20 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
     columns, rows = found.paths.columns, found.rows
     mine = columns.candidate(slot.group)
     near = _near(found, mine, gains > LEAST_GAIN * gains[slot.group])
-    examined: dict[int, int] = {}
-    for group in (*slot.instead, *near[np.argsort(-gains[near])][:MOST_COMPARED]):
-        other = columns.candidate(group)
-        owner = int(columns.owner[group])
-        if owner in examined or _same_kind(mine, other) or len(examined) >= EXAMINED:
-            continue
-        if other.recording is not None:
-            continue  # it is no effect of the arm, but a difference between the recordings
-        if part_of(torque, found.paths.outside(group)) < ALIKE:
+    examined, done = list[int](), set[int]()
+    for group in map(int, (*slot.instead, *near[np.argsort(-gains[near])])):
+        other, owner = columns.candidate(group), int(columns.owner[group])
+        if owner in done or other.recording is not None or _same_kind(mine, other):
             continue
         estimate = values[columns.of_group(group)]
-        if reason_against(other, columns.shapes(group), estimate, rows.segments) is None:
-            examined[owner] = int(group)
-    return list(examined.values())
+        if reason_against(other, columns.shapes(group), estimate, rows.segments) is not None:
+            continue  # another point of its grid may be plausible
+        done.add(owner)
+        if part_of(torque, found.paths.outside(group)) >= ALIKE:
+            examined.append(group)
+            if len(examined) == EXAMINED:
+                break
+    return examined
 
 
 def _near(found: Round, mine: Candidate, fine: NDArray[np.bool_]) -> NDArray[np.intp]:

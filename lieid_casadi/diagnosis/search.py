@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.candidates import Candidate, is_form
 from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.evidence import Slot, held_out_squares, judge, solved
 from lieid_casadi.diagnosis.folds import Folds, folds_of
@@ -274,11 +274,12 @@ def _rules(
 
     own = np.array([max(run.count, 2) for run in rows.runs], dtype=float)
     count = np.array([own.sum() if c.reaches_all else own[c.joint] for c in columns.owners])
+    forms = np.array([is_form(c.effect) for c in columns.owners], dtype=bool)
     more = np.ones(len(columns.size)) if dependence is None else dependence
     independent = np.maximum(count[columns.owner] / more, 2.0)
     return Rules(
         options.penalty * columns.parameters * more * np.log(independent),
-        columns.support > LEAST_SUPPORT,
+        (columns.support > LEAST_SUPPORT) & ~forms[columns.owner],
         np.array([c.name == SMOOTH for c in columns.owners], dtype=bool)[columns.owner],
         allowed,
         options.most_steps,

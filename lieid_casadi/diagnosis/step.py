@@ -29,6 +29,10 @@ class Rival:
     joints: tuple[int, ...]
     kind: str
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the rival for JSON, joints from 1."""
+        return {"effect": self.effect, "joints": [j + 1 for j in self.joints], "kind": self.kind}
+
 
 @dataclass(frozen=True)
 class Fall:
@@ -165,6 +169,8 @@ class Step:
         ``rms_train``, ``rms_test``, ``rms_test_moving``, ``rms_cv``: (n,) errors of the model with
         the steps up to this one, N·m; None where they do not exist. Those of the last step are
         the errors of the final fit.
+    rival_pairs : tuple of (Rival, Rival)
+        Effects that together would do as well, and that this one replaces.
     motion : MotionGain or None
         Of arms under commands that can be simulated: errors of the simulated motion on held-out
         data without the effect and with it.
@@ -189,6 +195,7 @@ class Step:
     depends_on: tuple[str, ...]
     errors: dict[str, Array | None]
     formula: str = ""
+    rival_pairs: tuple[tuple[Rival, ...], ...] = ()
     motion: MotionGain | None = None
 
     @property
@@ -217,11 +224,8 @@ class Step:
             "selected": self.evidence.selected,
             "confirmed": self.confirmed,
             "evidence": self.evidence.to_dict(),
-            "indistinguishable": [
-                {"effect": r.effect, "joints": [j + 1 for j in r.joints], "kind": r.kind}
-                for r in self.rivals
-            ],
-            "rival_pairs": [],
+            "indistinguishable": [rival.to_dict() for rival in self.rivals],
+            "rival_pairs": [[rival.to_dict() for rival in pair] for pair in self.rival_pairs],
             "motion": None if self.motion is None else self.motion.to_dict(),
             "group": self.group,
             "depends_on": list(self.depends_on),

@@ -8,7 +8,7 @@ columns, so that leaving a step out costs nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,7 @@ class Accepted:
     """An effect that the search adds, with what the held-out parts say of it.
 
     ``beside_smooth``: whether there was a smooth function of its joint when it was found.
+    ``replaced``: the effects in whose place it is.
     """
 
     candidate: Candidate
@@ -51,8 +52,8 @@ class Accepted:
     joint: int
     evidence: Evidence
     rivals: tuple[Rival, ...]
-    status: Status
     beside_smooth: bool
+    replaced: tuple[Candidate, ...] = ()
 
     @classmethod
     def of(
@@ -75,10 +76,6 @@ class Accepted:
             slot.selected_any,
             int(found.folds.independent[slot.joint]),
         )
-        # without a part of the data something else was in its place, or nothing
-        status: Status = "named" if not rivals and slot.selected == 1.0 else "one_of"
-        if candidate.name == SMOOTH:
-            status = "shape"
         beside = [
             *(found.candidate(g) for g in others),
             *(a.candidate for a in earlier),
@@ -90,9 +87,22 @@ class Accepted:
             slot.joint,
             evidence,
             rivals,
-            status,
             smooth,
         )
+
+    @property
+    def status(self) -> Status:
+        """What may be said of its name."""
+        if self.candidate.name == SMOOTH:
+            return "shape"
+        # without a part of the data something else was in its place, or nothing
+        return "named" if not self.rivals and self.evidence.selected == 1.0 else "one_of"
+
+    def replaced_by(self, form: Candidate, all_replaced: Sequence[Accepted]) -> Accepted:
+        """Return another form of the effect, in the place of several."""
+        rivals = tuple(rival for rival in self.rivals if rival.effect != form.name)
+        replaced = tuple(a.candidate for a in all_replaced)
+        return replace(self, candidate=form, rivals=rivals, replaced=replaced)
 
     @property
     def placement(self) -> Placement:
@@ -147,6 +157,7 @@ def steps_of(
         if status == "named" and found.joint in smooth:  # the form of this torque is not known
             other = smooth[found.joint].candidate
             status, rivals = "one_of", (Rival(other.label, SMOOTH, other.joints, "data"),)
+        replaced = tuple(Rival(c.label, c.name, c.joints, "data") for c in found.replaced)
         later = columns[k + 1 :]
         so_far = final.errors(np.concatenate([np.zeros(0, dtype=np.intp), *later]))
         without, j = final.errors(columns[k]), found.joint
@@ -175,6 +186,7 @@ def steps_of(
                 rivals=rivals,
                 group=groups[k],
                 depends_on=signals_of(found.placement),
+                rival_pairs=(replaced,) if len(replaced) > 1 else (),
                 errors={
                     "rms_train": fit.rms_train if last else so_far["train"],
                     "rms_test": tested.rms if tested is not None and last else so_far["test"],

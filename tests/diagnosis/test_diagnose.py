@@ -224,6 +224,21 @@ def test_friction_that_varies_fast_along_a_turn_is_a_smooth_function_of_the_own_
     assert after < 0.5 * before
 
 
+@pytest.mark.parametrize("speed", [0.1, 0.2, 0.4])
+def test_another_form_of_friction_over_speed_is_in_the_place_of_what_imitates_it(speed):
+    """Friction that falls as e^{−|q̇|/v}, neither Gaussian nor a polynomial of the velocity."""
+    size = 0.4 * float(plant.torque_scale(ROBOT)[0])
+    odd = plant.ForeignTorque(
+        0, lambda s: size * np.tanh(s.dq[..., 0] / 0.005) * np.exp(-np.abs(s.dq[..., 0]) / speed)
+    )
+    arm = arm_with().with_effects(odd)
+    diagnosis = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2))
+    (step,) = diagnosis.steps
+    assert step.label == "stribeck/exponent:1"
+    expected = {"f_s-f_c": size, "v_s": speed, "delta_s": 1.0}
+    assert step.parameters == pytest.approx(expected, rel=0.1)
+
+
 def test_a_smooth_function_leaves_gravity_to_the_links():
     """A function of an angle resembles gravity: what the data do not decide must not be large."""
     stop = plant.ForeignTorque(0, lambda s: 8.0 * np.maximum(s.q[..., 0] - 0.5, 0.0))
