@@ -334,7 +334,7 @@ class Effect(ABC):
         raise NotImplementedError(f"effect {self.name} has states but no advance")
 
     def next_states(self, before: Signals, now: Signals, shape: ShapeSymbols) -> list[ca.SX]:
-        """Return the states of `advance`, held where one of its inputs is not finite.
+        """See `advance`; states are held where one of its inputs is not finite.
 
         One NaN must not destroy the states of all samples after it; they evolve again from the next
         pair of finite samples. Python, compiled batches and exported C use this expression.
