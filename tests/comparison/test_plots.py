@@ -38,17 +38,6 @@ def test_plots_are_figures_and_change_no_setting(comparison):
     assert pyplot.get_fignums() == windows
 
 
-def test_plot_draws_measured_predicted_and_error_of_every_joint(comparison):
-    axes = np.reshape(comparison.plot().axes, (2, 2))
-    (series,) = comparison.series
-    for joint in range(2):
-        measured, predicted = (line.get_ydata() for line in axes[joint, 0].get_lines())
-        np.testing.assert_array_equal(measured, series.measured[:, joint])
-        np.testing.assert_array_equal(predicted, series.predicted[:, joint])
-        np.testing.assert_allclose(axes[joint, 1].get_lines()[0].get_ydata(), measured - predicted)
-        assert f"RMS {comparison.rms[joint]:.3g}"[:7] in axes[joint, 1].get_title("left")
-
-
 def test_errors_are_drawn_against_each_signal(comparison):
     axes = np.reshape(comparison.plot_errors().axes, (2, 4))
     (series,) = comparison.series

@@ -25,26 +25,24 @@ def lieid_friction(*words):
     return main(["friction", "two_link", *map(str, words)])
 
 
-def test_the_default_model_is_printed_written_and_drawn(run, tmp_path, capsys):
+def test_the_model_is_printed_and_written(run, tmp_path, capsys):
     out = tmp_path / "f.json"
     assert lieid_friction(run, "--joint", 1, "--json", out) == 0
     assert "coulomb, viscous, stribeck, load_friction: RMS" in capsys.readouterr().out
     content = json.loads(out.read_text())
     assert content["joint"] == 1
-    assert content["fit"]["effects"] == ["coulomb", "viscous", "stribeck", "load_friction"]
     assert {"name", "joint", "value", "std", "unit"} == set(content["fit"]["parameters"][0])
     assert len(content["curve"]["points"]) == len(content["fit"]["predicted"])
-
-
-def test_given_effects_and_a_fit_of_the_arm(run, tmp_path):
-    model = lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1,load_friction:1")
-    fit = lieid.identify(model, excitation(0), processing=lieid.Processing(cutoff=10.0))
+    fit = lieid.identify(
+        lieid.Model(ROBOT, "coulomb,viscous,offset,stribeck:1,load_friction:1"),
+        excitation(0),
+        processing=lieid.Processing(cutoff=10.0),
+    )
     fit.save(tmp_path / "fit.json")
-    out = tmp_path / "f.json"
-    words = [run, "--joint", 1, "--effects", "coulomb,viscous,stribeck,load_friction"]
-    words += ["--fit", tmp_path / "fit.json", "--json", out, "--cutoff", 10]
-    assert lieid_friction(*words) == 0
+    words = [run, "--joint", 1, "--effects", "coulomb,viscous", "--cutoff", 10, "--json", out]
+    assert lieid_friction(*words, "--fit", tmp_path / "fit.json") == 0
     content = json.loads(out.read_text())
+    assert content["fit"]["effects"] == ["coulomb", "viscous"]
     assert content["curve"]["load_source"] == "model"
 
 

@@ -13,13 +13,11 @@ from friction_curves.friction_plant import (
     SPEEDS,
     VISCOUS,
     WIDTH,
-    friction,
     measured,
 )
 from plant.motions import constant_speeds
 
 from lieid_casadi.errors import (
-    BoundWarning,
     EffectError,
     NotDissipativeWarning,
     UnidentifiableWarning,
@@ -56,11 +54,6 @@ def test_parameters_of_the_plant_are_found(fit):
     assert fit.correlation > 0.999
 
 
-def test_friction_at_any_speed_and_load(fit):
-    speed, load = np.array([0.04, 0.2, 0.9]), np.array([0.0, 8.0, -15.0])
-    np.testing.assert_allclose(fit.friction(speed, load=load), friction(speed, load), rtol=0.02)
-
-
 def test_the_papers_model_fits_equally_with_more_parameters(curve, fit):
     paper = fit_friction(curve, "viscous,viscous_polynomial,stribeck/two_width,load_friction/paper")
     assert len(paper.parameters) == 10
@@ -87,19 +80,6 @@ def test_parameters_that_a_curve_does_not_determine_are_reported(curve):
     assert rows["offset.f_b"]["std"] is None
     assert rows["offset.f_b"]["value"] == 0.0
     assert rows["coulomb.f_c"]["std"] is not None
-
-
-def test_bounds_hold_and_are_reported(curve):
-    from lieid_casadi.effects import Coefficient
-    from lieid_casadi.effects.viscous import Viscous
-
-    class Thick(Viscous):
-        name = "thick"
-        coefficients = (Coefficient("f", "N·m·s/rad", lower=2.0),)
-
-    fit = fit_friction(curve, ["coulomb", Thick()])
-    assert fit.coefficients[1] == pytest.approx(2.0, abs=1e-9)
-    assert any(isinstance(w, BoundWarning) and "thick.f:1" in str(w) for w in fit.warnings)
 
 
 def test_negative_friction_is_reported(curve, fit):

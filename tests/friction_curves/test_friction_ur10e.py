@@ -1,6 +1,5 @@
 """Friction of joint 2 of a real UR10e from friction runs and from excitation."""
 
-import numpy as np
 import pytest
 from real_arms import UR10E, needs
 
@@ -48,12 +47,3 @@ def test_curve_and_load_dependence_agree_with_the_excitation_runs(robot, alone, 
     assert own["viscous.f_v"] == pytest.approx(others["viscous.f_v"], rel=0.1)
     assert fit.correlation > 0.98
     assert fit.rms < 0.05 * curve.friction.mean()
-
-
-def test_friction_depends_on_the_load(robot, alone, whole):
-    """At one speed friction differs by up to 8 N·m between loads."""
-    curve = friction_curve(whole, alone, 1, processing=CUTOFF)
-    plain, loaded = fit_friction(curve, "coulomb,viscous"), fit_friction(curve, EFFECTS)
-    assert plain.rms > 4 * loaded.rms
-    middle = np.abs(curve.speed - 0.5) < 0.05
-    assert np.ptp(curve.friction[middle]) > 6.0

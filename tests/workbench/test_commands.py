@@ -73,15 +73,9 @@ def check(session, evaluation, fit, tmp_path, monkeypatch):
 
 def test_with_a_drive_law(commanded, tmp_path, monkeypatch, capsys):
     words = ["two_link", *map(str, commanded), "--stiffness", "300,200", "--damping", "4,2.5"]
+    words += ["--time-offset", "0.0005"]  # a correction of a premise
     session, evaluation, fit = shown(words)
     assert [d.stiffness for d in fit.model.robot.drives] == [300.0, 200.0]
-    check(session, evaluation, fit, tmp_path, monkeypatch)
-
-
-def test_with_corrections_of_premises(two_link_files, tmp_path, monkeypatch, capsys):
-    corrections = ["--torque-sign", "1", "1", "--time-offset", "0.0005"]
-    session, evaluation, fit = shown(["two_link", *map(str, two_link_files), *corrections])
-    assert session.inputs.words == ["--torque-sign", "1", "1", "--time-offset", "0.0005"]
     check(session, evaluation, fit, tmp_path, monkeypatch)
 
 

@@ -1,8 +1,6 @@
 """What the worker process computes is what the public functions return."""
 
 import functools
-import io
-import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -182,21 +180,6 @@ def test_poses_are_the_forward_kinematics(two_link_files):
     for link in (1, 2):
         frame = lieid.symbolic(robot).frame(f"link{link}").forward_kinematics(recording.q[row])
         np.testing.assert_allclose(motion.poses[17, link], frame, atol=1e-12)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "names"),
-    [
-        ("c", ["c/CMakeLists.txt"]),
-        ("mjcf", ["mjcf/two_link.xml"]),
-    ],
-)
-def test_exports_are_zip_files(computation, first, kind, names):
-    name, content = computation.save(first.step, kind=kind, report=ignored)
-    assert name == f"two_link_{kind}.zip"
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        assert set(names) <= set(archive.namelist())
 
 
 def test_meshes_of_a_urdf_are_found_beside_it(tmp_path):

@@ -124,25 +124,3 @@ def settled(page):
 
     page.wait(same, "the end of the events")
     return last[-1]
-
-
-def test_dropped_files_are_opened(start, browse, two_link_files):
-    server = start("panda")
-    page = browse(server.url)
-    page.wait(lambda: "no recordings" in page.text("open-error"), "the form")
-    page.click("close-form", done=lambda: not page.shown("open-robot"))
-    for k, file in enumerate(two_link_files, start=1):
-        for kind in ("dragEnter", "dragOver", "drop"):
-            data = {"items": [], "files": [str(file)], "dragOperationsMask": 1}
-            page.driver.execute_cdp_cmd(
-                "Input.dispatchDragEvent", {"type": kind, "x": 600, "y": 500, "data": data}
-            )
-        page.wait(lambda k=k: page.elements(f"role-{k}"), "the recording")
-    robot = page.element("open-robot")
-    robot.clear()
-    robot.send_keys("two_link")
-    page.click("open")
-    opened(page)
-    assert page.driver.current_url.startswith(server.url.partition("?")[0])
-    page.click("play")
-    page.wait(lambda: page.number("instant") > 0.0, "the replay")

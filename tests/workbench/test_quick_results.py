@@ -86,19 +86,23 @@ async def settle():
         await asyncio.sleep(0)
 
 
-def test_the_other_process_adds_what_a_linear_fit_left_out(page):
+@pytest.mark.parametrize(
+    ("effect", "exact", "series"),
+    [("viscous:1", True, "quick series"), ("stribeck:1", False, "whole series")],
+)
+def test_the_other_process_adds_what_a_quick_fit_left_out(page, effect, exact, series):
     async def run():
         workbench, shown = page()
-        await workbench.apply(workbench.session.with_added("viscous:1"))
+        await workbench.apply(workbench.session.with_added(effect))
         await settle()
         assert not workbench.computing
-        assert shown[-1] == (True, False, "quick series")
+        assert shown[-1] == (exact, False, "quick series")
         assert workbench.session.step.errors.noise_floor == (0.15,)
         workbench._back.go.set()
         await settle()
-        assert shown[-1] == (True, True, "quick series")  # need not be drawn again
+        assert shown[-1] == (True, True, series)  # the torque of an exact fit is not drawn again
         assert workbench.session.step.errors.noise_floor == (0.1,)
-        assert workbench._front.asked == [("quick", "viscous:1")]
+        assert workbench._front.asked == [("quick", effect)]
 
     asyncio.run(run())
 
@@ -118,20 +122,6 @@ def test_a_fit_that_takes_long_can_be_stopped(page):
         await applied
         assert (workbench.computing, workbench.fitting, workbench.error) == (False, None, "")
         assert workbench.session is before
-
-    asyncio.run(run())
-
-
-def test_the_other_process_fits_shapes_exactly(page):
-    async def run():
-        workbench, shown = page()
-        await workbench.apply(workbench.session.with_added("stribeck:1"))
-        await settle()
-        assert shown[-1] == (False, False, "quick series")
-        workbench._back.go.set()
-        await settle()
-        assert shown[-1] == (True, True, "whole series")
-        assert workbench._front.asked == [("quick", "stribeck:1")]
 
     asyncio.run(run())
 
