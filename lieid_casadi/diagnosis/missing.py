@@ -195,7 +195,8 @@ class MissingEffects:
                 kept = self._with_plausible_values(simpler, [*others, found])
                 fewer = found.candidate.parameters < sum(a.candidate.parameters for a in alike)
                 most = fit.rms_cv[j] * (1.0 - self.options.worth) ** (-1 if fewer else 1)
-                if len(kept) > len(others) and simpler.rms_cv[j] <= most:
+                sure = found.determined(simpler, self.options.gain_deviations)
+                if sure and len(kept) > len(others) and simpler.rms_cv[j] <= most:
                     fit, accepted = simpler, kept
                     break
         return fit, accepted
