@@ -337,7 +337,7 @@ class Effect(ABC):
         """See `advance`; states are held where one of its inputs is not finite.
 
         One NaN must not destroy the states of all samples after it; they evolve again from the next
-        pair of finite samples. Python, compiled batches and exported C use this expression.
+        pair of finite samples. ``before``, ``now`` and ``shape`` are those of `advance`.
         """
         after = [ca.SX(x) for x in self.advance(before, now, shape)]
         size = ca.SX(0)
