@@ -57,7 +57,8 @@ function beside(titles, name, limits, range) {
     xAxis: titles.map((title, k) => ({
       type: 'value', gridIndex: k, scale: true, nameLocation: 'middle', nameGap: 22, name: title,
       splitNumber: 4, axisLine: { onZero: false }, ...range,
-      axisLabel: { hideOverlap: true, fontSize: 10, showMaxLabel: false } })),
+      axisLabel: { hideOverlap: true, fontSize: 10, showMaxLabel: false,
+        showMinLabel: !range?.min } })),
     yAxis: titles.map((_, k) => ({
       type: 'value', scale: true, axisLine: { onZero: false }, nameGap: 36,
       nameLocation: 'middle', gridIndex: k, name: k ? '' : name, ...limits,

@@ -206,7 +206,7 @@ def a_bad_file_is_one_line_beside_the_field(page, folder):
     page.wait(lambda: "/etc/passwd" in page.text("open-error"), "the error")
 
 
-def test_tables_of_reports_fit_1000_pixels(browse, two_link_files, tmp_path):
+def test_tables_of_reports_fit_1000_pixels_and_a_printed_page(browse, two_link_files, tmp_path):
     train, test = map(lieid.Recording.load, two_link_files)
     model = lieid.Model(lieid.robots.two_link(), "coulomb,viscous,offset")
     found = lieid.diagnose(model, train, test)
@@ -217,4 +217,9 @@ def test_tables_of_reports_fit_1000_pixels(browse, two_link_files, tmp_path):
     return [...document.querySelectorAll('body, section, details, td, pre')].filter(
       (e) => e.scrollWidth > e.clientWidth + 1).map((e) => e.textContent.slice(0, 60));"""
     assert len(page.driver.find_elements("css selector", "table")) > 4
+    assert page.driver.execute_script(wide) == []
+    page.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    paper = {"width": 718, "height": 1040, "deviceScaleFactor": 1, "mobile": False}  # A4, 96 dpi
+    page.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", paper)
+    page.wait(lambda: page.driver.execute_script("return innerWidth") == 718, "the paper")
     assert page.driver.execute_script(wide) == []
