@@ -12,10 +12,12 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import check_recordings
+from lieid_casadi.messages import joints_text
 from lieid_casadi.model import Model
 from lieid_casadi.premises import joints, match, mounting, samples, timing, torque_signal
 from lieid_casadi.premises.correction import Correction, for_recording, with_all_remedies
 from lieid_casadi.premises.findings import Finding, PremiseCheck, fall
+from lieid_casadi.premises.joints import ALIKE
 from lieid_casadi.premises.plain_fit import Samples, samples_of
 from lieid_casadi.premises.rigid_columns import RigidArm
 from lieid_casadi.premises.screen import Alternative, Errors, Screen
@@ -32,14 +34,11 @@ DEPTH = 5
 WRONG = 1.0 / 3.0
 #: A joint shows a premise if the correction lowers its error to this part.
 SHOWS = 0.7
-#: The same for stated inertias, which are never exact.
-SHOWS_STATED = 0.4
-#: Error of stated centres of mass, m: a torque error that it gives on one joint is no finding.
-COM_ERROR, STANDARD_GRAVITY = 0.01, 9.81
+#: With stated inertias, which are never exact, the error falls by this multiple of what centres of
+#: mass beside the stated ones explain.
+BEYOND = 2.0
 #: A finding needs a joint that shows it, and this decrease of the score.
 LEAST_SCORE = -0.6
-#: The same for alternatives without free values, which are then a doubt at most.
-SHOWS_DISCRETE, LEAST_DISCRETE = 0.88, -0.15
 #: The same for delays of slow motion, whose errors are small: also a doubt at most.
 SHOWS_OF_SLOW, LEAST_OF_SLOW = 0.6, -2.0
 #: Least error without the correction on one of these joints, as part of its torque: less is the
@@ -128,7 +127,8 @@ def check(
     given_errors = state.confirmed.base
     corrected: list[tuple[Finding, Correction]] = []
     for depth in range(DEPTH):
-        found = _reversed(state) or _strongest(state, report, depth)
+        found = _reversed(state, every=True) or _strongest(state, report, depth)
+        found = found or _reversed(state, every=False)
         if found is None:
             break
         corrected.append(found)
@@ -149,7 +149,9 @@ def check(
     untested = _not_checkable(state, {f.premise for f in findings}, bool(tests))
     report("done", 1.0)
     names = dict(untested)
-    return PremiseCheck(tuple(findings), tuple(p for p in PREMISES if p not in names), untested)
+    unseen = () if any(finding.certain for finding in findings) else _unseen(state)
+    checked = tuple(p for p in PREMISES if p not in names)
+    return PremiseCheck(tuple(findings), checked, (*untested, *unseen))
 
 
 FROM_MODEL = Finding(
@@ -229,9 +231,9 @@ class _State:
 
 def _strongest(state: _State, report: Progress, depth: int) -> tuple[Finding, Correction] | None:
     """Return the strongest finding and its correction, or None if nothing is found."""
-    base = state.confirmed.base
-    explained = match.unexplained(base) or 0.0
-    if np.all(base.relative[0] <= LEAST_BEFORE) and explained <= match.SOUND:
+    base, full = state.confirmed.base, state.confirmed
+    most = np.sqrt(np.maximum(base.rms[-1] ** 2 - (WRONG * base.free.error) ** 2, 0.0))
+    if np.all(base.relative[0] <= LEAST_BEFORE) and np.all(most <= BEYOND * full.displaced):
         return None  # no alternative could be confirmed
     screen = state.compared
     scored: list[tuple[float, Alternative]] = []
@@ -269,6 +271,24 @@ def _alternatives(screen: Screen) -> Iterator[tuple[str, Iterator[Alternative]]]
 def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
     """Return an alternative as a finding if it lowers the held-out errors."""
     before, after = full.base, full.errors(alternative.correction)
+    certain = _lower(full, before, after, alternative)
+    if certain is None:
+        return None
+    kind = 1 if _by_stated(before, after) else 0
+    return _finding(alternative, before, after, kind, certain=certain)
+
+
+def _by_stated(before: Errors, after: Errors) -> bool:
+    """Return whether the stated fit shows a fall of the errors, and the free one does not."""
+    ratios = after.relative / before.relative
+    return _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1]))
+
+
+def _lower(full: Screen, before: Errors, after: Errors, alternative: Alternative) -> bool | None:
+    """Return whether it is certain that errors fall by an alternative; None if they hardly do.
+
+    In the stated fit, a fall that inaccurate centres of mass could explain is none.
+    """
     score = after.score(before) + alternative.cost
     ratios = after.relative / before.relative
     if alternative.premise == "joint_coupling":  # it changes the torque that errors are relative to
@@ -279,29 +299,21 @@ def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
     shown_free = (ratios[0] < SHOWS) & (before.relative[0] > LEAST_BEFORE)
     unlike = (match.unexplained(before) or 0.0) > match.SOUND
     explained = after.relative[-1] < WORSE * after.relative[0]  # as by free inertias: no tool does
-    shown_stated = bool(np.any((ratios[1:] < SHOWS_STATED) & (unlike | explained)))
+    squares = before.relative[-1] ** 2 - after.relative[-1] ** 2
+    lowered = after.scale * np.sqrt(np.maximum(squares, 0.0))
+    beyond = (ratios[-1] < SHOWS) & (lowered > BEYOND * full.displaced) & (unlike | explained)
+    shown_stated = len(ratios) > 1 and bool(beyond.any())
     if not clear or not (shown_free.any() or shown_stated):
-        # a sign has two values only: less suffices for a doubt
-        sign = alternative.discrete and score <= LEAST_DISCRETE and ratios.min() < SHOWS_DISCRETE
-        doubt = sign and not np.any(after.driven < before.driven)
         slow = score <= LEAST_OF_SLOW and ratios.min() < SHOWS_OF_SLOW and not alternative.small
-        if not doubt and not (slow and alternative.premise == "time_offset"):
-            return None
-        clear = False
-    by_stated = _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1])) and (shown_stated or not clear)
-    kind = 1 if by_stated else 0
-    if not clear:
-        kind = int(np.argmin(ratios.min(axis=1)))
-    certain = clear and _ratio(ratios[kind]) <= WRONG and bool(np.all(ratios[kind] < WORSE))
-    if by_stated:  # on one joint alone, less is within the errors of stated inertias
-        shown = ratios[1] < SHOWS_STATED
-        beyond = np.cumsum(full.robot.link_parameters[::10][::-1])[::-1]
-        moved = COM_ERROR * STANDARD_GRAVITY * beyond
-        if shown.sum() < 2 and not np.any((ratios[1] < SHOWS) & (before.rms[1] > moved)):
-            return None
+        return False if slow and alternative.premise == "time_offset" else None
+    kind = 1 if shown_stated and _by_stated(before, after) else 0
+    if not kind and not shown_free.any():
+        return None
+    certain = _ratio(ratios[kind]) <= WRONG and bool(np.all(ratios[kind] < WORSE))
+    if kind:  # on one joint alone, less is within the errors of stated inertias
         plain = (before.relative[1] > match.SOUND) | ((before.driven < 0) & (after.driven > 0))
-        certain &= shown.sum() > 1 or bool(np.any(shown & plain))
-    return _finding(alternative, before, after, kind, certain=certain and not alternative.small)
+        certain &= beyond.sum() > 1 or bool(np.any(beyond & plain))
+    return certain and not alternative.small
 
 
 def _finding(
@@ -336,25 +348,33 @@ def _finding(
     )
 
 
-def _reversed(state: _State) -> tuple[Finding, Correction] | None:
-    """Return the opposite sign of all torques, if friction drives the joints instead of braking.
+def _reversed(state: _State, *, every: bool) -> tuple[Finding, Correction] | None:
+    """Return the opposite sign of the torque of joints that friction drives instead of braking.
 
-    A free fit has the same error with either sign, and negative masses with the wrong one.
+    Of ``every`` joint, or of one. A free fit has the same error with either sign, and negative
+    masses with the wrong one.
     """
     base = state.confirmed.base
     moving = np.mean(state.samples.moving, axis=0) > LEAST_MOVING
-    driven = base.driven[moving]
-    if not moving.any() or np.sum(driven < 0) < max(1, moving.sum() / 2) or np.any(driven > 0):
+    driven = moving & (base.driven < 0)
+    most = driven.sum() >= max(1, moving.sum() / 2) and not np.any(base.driven[moving] > 0)
+    if not driven.any() or (every and not most):
         return None
-    *_, alternative = joints.directions(state.compared)  # the last one is that of all torques
-    after, stated = state.confirmed.errors(alternative.correction), len(base.rms) - 1
-    if np.sum(np.log(after.relative[stated] / base.relative[stated])) > 0.0:
-        return None
-    what = alternative.what.partition(": with")[0]
-    unshown = f"{what}. Correct it with {alternative.remedy}."
-    finding = _finding(alternative, base, after, stated, certain=True, unshown=unshown)
-    sentence = f"{finding.sentence} With the recorded sign, friction would drive the joints."
-    return replace(finding, sentence=sentence), alternative.correction
+    *single, together = joints.directions(state.compared)
+    for alternative in [together] if every else [a for a in single if driven[a.joints[0]]]:
+        after = state.confirmed.errors(alternative.correction)
+        worse = np.sum(np.log(after.relative[-1] / base.relative[-1])) > (0.0 if every else -ALIKE)
+        own = driven if every else np.arange(len(driven)) == alternative.joints[0]
+        if not worse and not np.any(after.driven[own] < 0):
+            unshown = f"{alternative.what.partition(': with')[0]}. Correct it with "
+            unshown += f"{alternative.remedy}."
+            finding = _finding(
+                alternative, base, after, len(base.rms) - 1, certain=True, unshown=unshown
+            )
+            sentence = f"{finding.sentence} With the recorded sign, friction would drive "
+            sentence += "the joints." if every else "the joint."
+            return replace(finding, sentence=sentence), alternative.correction
+    return None
 
 
 def _ratio(ratios: Array) -> float:
@@ -423,3 +443,40 @@ def _not_checkable(state: _State, found: set[str], tested: bool) -> tuple[tuple[
         ("same_motion", None if tested else "no test recording was given"),
     ]  # fmt: skip
     return tuple((p, why) for p, why in reasons if why is not None and p not in found)
+
+
+def _unseen(state: _State) -> tuple[tuple[str, str], ...]:
+    """Return the premises on single joints that could be wrong without a finding, and of which.
+
+    If the recording were corrupted so, the errors would be those under the alternative.
+    """
+    screen, n = state.compared, state.robot.n
+    signs = list(joints.directions(screen))
+    turning = [joint.revolute for joint in state.robot.joints]
+
+    def hidden(alternative: Alternative) -> bool:
+        before = screen.errors(alternative.correction)
+        return _lower(screen, before, screen.base, alternative) is None
+
+    def zero(j: int, angle: float) -> Alternative:
+        return replace(signs[0], joints=(j,), correction=joints.zero_of(n, j, angle), cost=0.5)
+
+    braked = state.confirmed.base.driven > 0  # friction would drive them
+    masks = {
+        ("joint_sign", "the direction"): [hidden(a) for a in signs[0:-1:3]],
+        ("torque_sign", "the sign of the torque"): [
+            not b and hidden(a) for b, a in zip(braked, signs[1:-1:3], strict=True)
+        ],
+        **{
+            ("joint_zero", f"a zero off by {angle}°"): [
+                t and any(hidden(zero(j, s * np.radians(angle))) for s in (-1, 1))
+                for j, t in enumerate(turning)
+            ]
+            for angle in (20, 90)
+        },
+    }
+    return tuple(
+        (premise, f"{what} of {joints_text(mask)} would change no error beyond the stated masses'")
+        for (premise, what), mask in masks.items()
+        if any(mask)
+    )

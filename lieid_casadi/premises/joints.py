@@ -118,14 +118,12 @@ def directions(screen: Screen) -> Iterator[Alternative]:
             ("joint_sign", f"Joint {j + 1} turns the other way in this recording, not its torque",
              f"{axis} {torque}", replace(Correction.none(n), position=flip, torque=flip), 0.3),
         ):  # fmt: skip
-            yield Alternative(
-                premise, (j,), {}, f"{what}: with {option}", option, correction, cost, discrete=True
-            )
+            yield Alternative(premise, (j,), {}, f"{what}: with {option}", option, correction, cost)
     option = "--torque-sign " + " ".join(n * ["-1"])
     yield Alternative(
         "torque_sign", (), {},
         f"All torques have the opposite sign (those of the surroundings on the arm): with {option}",
-        option, torques(-np.eye(n)), discrete=True,
+        option, torques(-np.eye(n)),
     )  # fmt: skip
 
 

@@ -31,6 +31,8 @@ LEAST_RELATIVE = 1e-4
 #: Least part of a joint's power that is friction, and of its standard deviation (jackknife), from
 #: which the sign of friction is clear.
 LEAST_POWER, CLEAR = 0.05, 5.0
+#: Error of stated centres of mass, m: a torque error that it gives on one joint is no finding.
+COM_ERROR = 0.01
 #: Hypotheses whose columns are computed at once.
 TOGETHER = 8
 
@@ -47,7 +49,6 @@ class Alternative:
     correction: Correction
     cost: float = 0.0  # decrease of the score that its free values are worth
     small: bool = False  # whether its value is within the range of an effect of the library
-    discrete: bool = False  # whether it has no free values
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +161,20 @@ class Screen:
     def base(self) -> Errors:
         """Errors of the hypothesis that nothing is wrong."""
         return self.errors(Correction.none(self.n))
+
+    @cached_property
+    def displaced(self) -> Array:
+        """RMS torque (n,), N·m, of stated centres of mass off by `COM_ERROR` along every axis.
+
+        As the stated fit sees it: without what the joints' own columns explain.
+        """
+        if self.parameters is None:
+            return np.zeros(self.n)
+        links = self.robot.link_parameters.reshape(self.n, 10)
+        moments = self.arm.combination.reshape(-1, self.n, 10)[:, :, 1:4] * links[:, :1]
+        given = self.design.equations(self.thin.tau)
+        size = np.einsum("kla,jkm,mla->j", moments, given.whole.matrix, moments, optimize=True)
+        return np.asarray(COM_ERROR * np.sqrt(np.maximum(size, 0.0) / given.instants))
 
     def errors(self, correction: Correction, columns: Array | None = None) -> Errors:
         """Return the errors under a correction, whose columns (n, k, N) may be given."""

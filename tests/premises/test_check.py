@@ -132,19 +132,50 @@ def test_reversed_torques_are_certain_by_friction(run, masses):
 
 def test_a_coupling_that_its_own_joint_does_not_show_is_none():
     """Torque of joint 5 at low speeds resembles that of a wrist whose motor moves joint 6, too."""
-    drawn = draw(Case("none", 30106))
-    recording = plant.measure(drawn.arms[0], drawn.motions[0], drawn.sensors, seed=30006)
-    found = lieid.check(load_arm(drawn.arm_name), recording).findings
-    assert [finding.premise for finding in found] == []
+    assert lieid.check(*drawn_run(30006)).findings == ()
+
+
+def drawn_run(k):
+    """Arm and recording of a simulated arm of the benchmark."""
+    drawn = draw(Case("none", 100 + k))
+    made = plant.measure(drawn.arms[0], drawn.motions[0], drawn.sensors, seed=k)
+    return load_arm(drawn.arm_name), made
 
 
 def test_small_torques_of_several_joints_show_a_unit():
     """A centre of mass beside the stated one explains each of them, not all."""
-    drawn = draw(Case("none", 5112))
-    light = plant.measure(drawn.arms[0], drawn.motions[0], drawn.sensors, seed=5012)
-    assert drawn.arm_name == "rail"
-    found = lieid.check(load_arm("rail"), replace(light, tau=light.tau / 12.0))
+    arm, light = drawn_run(5012)
+    found = lieid.check(arm, replace(light, tau=light.tau / 12.0))
     assert [f.premise for f in found.findings] == ["torque_unit"]
+
+
+@pytest.mark.parametrize(
+    ("k", "option", "premise"),
+    [
+        (50019, "--joint-zero 0 0 0 0 0 1.5708", "joint_zero"),  # its torque is 0.3 N·m
+        (50004, "--joint-order 5 2 3 4 1 6", "joint_order"),  # joints moved by 0.4 to 0.9 rad
+        (50004, "--torque-sign 1 1 1 1 -1 1", "torque_sign"),
+        (50008, "--joint-sign -1 1 1 1 1 1", "joint_sign"),  # joints moved by 0.3 to 0.4 rad
+    ],
+)
+def test_what_centres_of_mass_do_not_explain_is_found(k, option, premise):
+    """The torque that errors of 10 mm give is that along the recorded motion, not the largest."""
+    arm, run = drawn_run(k)
+    assert lieid.check(arm, run).verdict == "sound"
+    assert lieid.check(arm, corrected(run, option)).findings[0].premise == premise
+
+
+def test_joints_that_a_recording_leaves_open_are_listed():
+    """On those a wrong premise is no finding; on the others it is."""
+    arm, run = drawn_run(50014)
+    sound = lieid.check(arm, run)
+    assert "joint_zero" in sound.checked
+    (hidden,) = [why for p, why in sound.not_checkable if p == "joint_zero" and "90°" in why]
+    assert "joints 1, 7 " in hidden
+    for j in (6, 5):
+        zero = replace(correction_of([], 7), zero=np.eye(7)[j] * np.pi / 2.0)
+        found = lieid.check(arm, zero.of_recording(run)).findings
+        assert [f.premise for f in found] == ([] if j == 6 else ["joint_zero"])
 
 
 def test_delays_and_velocities(run):
