@@ -23,6 +23,7 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Paths, Span
 from lieid_casadi.effects.smooth import Smooth
 
+Mask = NDArray[np.bool_]
 DEPENDENT = 1e-8  # of a largest eigenvalue
 SMALLEST = 1e-12  # part of an error below which it counts as zero
 OTHER_JOINTS = 2  # that have an effect, from which less evidence is enough on a further joint
@@ -94,6 +95,7 @@ def judge(
     whole: Sequence[int],
     parts: Sequence[Sequence[int]],
     friction: Mapping[str, Array],
+    steady: Mask,
 ) -> tuple[Slot, ...]:
     """Return the effects of the path on all rows with their gains on the held-out parts.
 
@@ -101,7 +103,9 @@ def judge(
     if the dry friction of each joint is ``late`` or ``early``, or by that at ``rest``. A delay must
     explain more than the first: a joint that sticks for less than a sample at its reversals looks
     the same there. A dead band must explain more than all: friction of simulators is early
-    (MuJoCo's ``solreffriction``), and a joint at rest needs no torque of its drive either.
+    (MuJoCo's ``solreffriction``), and a joint at rest needs no torque of its drive either. Since
+    these columns describe friction at reversals and rest roughly, what it explains on the rows
+    ``steady`` (R,), away from both, counts.
     """
     if not whole:
         return ()
@@ -130,11 +134,12 @@ def judge(
             kinds = candidate.effect.like_uncertain_friction
             beside = [places[kind][j] for kind in kinds for j in own]
             used = _without_later_functions(path, mine, columns)
+            at = steady if "rest" in kinds else None
             complete = plain
-            if beside or len(used) < len(path):
-                complete = held.squares([*used, *beside])
+            if beside or len(used) < len(path) or at is not None:
+                complete = held.squares([*used, *beside], at)
             rest = [g for g in used if g not in mine]
-            without = held.squares([*rest, *beside]) if mine else complete
+            without = held.squares([*rest, *beside], at) if mine else complete
             if without[own].sum() > 0.0:
                 least = SMALLEST * without[own].sum()
                 gains[e, k] = 0.5 * np.log(without[own].sum() / max(complete[own].sum(), least))
@@ -204,6 +209,7 @@ class HeldOut:
         qe = -outside.T @ every[out]
         self._whole, self._gram = whole, whole - lost - qe.T @ along
         self._held = every[held] - q[held] @ along
+        self._rows = folds.held[part]
         self._joint, self._n = span.joint_of[folds.held[part]], len(span.ends) - 1
         widths = [c.shape[1] for c in columns.values()]
         starts = 1 + np.concatenate([[0], np.cumsum(widths)]).astype(int)
@@ -211,15 +217,19 @@ class HeldOut:
             g: np.arange(a, a + w) for g, a, w in zip(columns, starts, widths, strict=False)
         }
 
-    def squares(self, groups: Sequence[int]) -> Array:
-        """Return the sum of squared errors of each joint (n,) of the model with some groups."""
+    def squares(self, groups: Sequence[int], at: Mask | None = None) -> Array:
+        """Return the sum of squared errors of each joint (n,) of the model with some groups.
+
+        Of all held-out rows, or of those that are marked in ``at`` (R,).
+        """
         error = self._held[:, 0]
         if groups:
             own = np.concatenate([self._at[g] for g in groups])
             both = np.ix_(own, own)
             values = determined(self._gram[both], self._gram[own, 0], self._whole[both])
             error = error - self._held[:, own] @ values
-        return np.asarray(np.bincount(self._joint, weights=error**2, minlength=self._n), float)
+        squares = error**2 if at is None else error**2 * at[self._rows]
+        return np.asarray(np.bincount(self._joint, weights=squares, minlength=self._n), float)
 
 
 def determined(gram: Array, products: Array, whole: Array) -> Array:

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate, list_candidates
@@ -31,6 +32,7 @@ from lieid_casadi.recording import Processed
 
 Indices = NDArray[np.intp]
 
+REACH = 1.0  # periods of the cut-off frequency
 EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, by default
 
 
@@ -171,6 +173,21 @@ class Rows:
     def early_friction(self) -> tuple[Array, ...]:
         """The same of dry friction that is early, as that of MuJoCo is by default."""
         return self._shifted_friction(EARLY)
+
+    @cached_property
+    def away_from_reversals(self) -> tuple[NDArray[np.bool_], ...]:
+        """Whether the low-pass filter does not reach a reversal or rest of its joint, of each row.
+
+        There neither the instant at which dry friction reverses nor its value at rest counts.
+        """
+        parts = []
+        for s in self.segments:
+            turned = ~s.moving.copy()
+            turned[1:] |= np.sign(s.dq[1:]) != np.sign(s.dq[:-1])
+            reach = 2 * round(REACH * s.rate / s.cutoff) + 1
+            parts.append(maximum_filter1d(turned, reach, axis=0)[s.kept])
+        turned = np.concatenate(parts)
+        return tuple(~turned[run.all, j] for j, run in enumerate(self.runs))
 
     @cached_property
     def friction_at_rest(self) -> tuple[Array, ...]:

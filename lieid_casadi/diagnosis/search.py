@@ -139,12 +139,14 @@ def _judged(
         for kind in sorted(kinds)
     }
 
+    steady = np.concatenate(rows.away_from_reversals)
+
     def outside(smooth_first: Collection[int]) -> list[list[int]]:
         found = (forward(few, k, of_few, smooth_first=smooth_first) for k in range(folds.count))
         return [kept[list(path)].tolist() for path in found]
 
     def judged(path: Sequence[int], parts: Sequence[Sequence[int]]) -> tuple[Slot, ...]:
-        return judge(paths, folds, path, parts, friction)
+        return judge(paths, folds, path, parts, friction, steady)
 
     parts = outside(())
     slots = judged(whole, parts)

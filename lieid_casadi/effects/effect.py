@@ -243,7 +243,8 @@ class Effect(ABC):
         control do not have.
     like_uncertain_friction : tuple of str
         ``late``, ``early``: dry friction that reverses so looks much the same; ``rest``: friction
-        at rest does. A diagnosis counts what the effect explains besides.
+        at rest does. A diagnosis counts what the effect explains besides; with ``rest``, away from
+        reversals and rest.
     energy : str or None
         ``"armature"`` or ``"offset"`` if link parameters can produce the same torque.
     option : str

@@ -92,7 +92,7 @@ def test_effects_that_are_there_are_selected_in_every_path_and_noise_is_not_supp
     loose = rules(columns, penalty=1.0)  # so loose that paths contain noise
     whole = forward(paths, -1, loose)
     parts_of = [forward(paths, k, loose) for k in range(10)]
-    slots = judge(paths, folds, whole, parts_of, {})
+    slots = judge(paths, folds, whole, parts_of, {}, np.ones(len(span.residual), dtype=bool))
     found = {slot.group: slot for slot in slots}
     assert {2, 5} <= set(found)
     for group, slot in found.items():
@@ -116,7 +116,7 @@ def test_an_effect_is_judged_without_a_smooth_function_that_came_after_it_and_co
     folds = Folds(held, held, 0.0, np.array([100]))
     paths = Paths(span, columns, folds.out)
     for order, least in (([0, 1], 3.0), ([1, 0], -np.inf)):
-        slots = judge(paths, folds, order, [order] * 10, {})
+        slots = judge(paths, folds, order, [order] * 10, {}, np.ones(ROWS, dtype=bool))
         (found,) = (slot for slot in slots if slot.group == 0)
         assert found.deviations > least
     assert found.deviations < 2.0  # the function was there before it
@@ -145,3 +145,23 @@ def test_a_path_ends_where_groups_replace_each_other(monkeypatch):
     paths = Paths(Span.of(model, np.split(residual, 2)), columns, parts().out)
     monkeypatch.setattr(path, "_exchanged", lambda state, *_: state.without(state.groups[-1]))
     assert len(forward(paths, -1, rules(columns))) == 1
+
+
+def test_a_dead_band_counts_where_friction_neither_reverses_nor_rests():
+    random = np.random.default_rng(7)
+    own = random.normal(size=(ROWS, 1))
+    band = Candidate(Placement(make("deadband"), 0), np.zeros((1, 0)))
+    columns = assemble([band], [0], [0], [1], [[(0, own)]], [ROWS])
+    reversal = np.arange(ROWS) % 10 < 3  # where alone the residual follows the column
+    residual = random.normal(size=ROWS) + 3.0 * own[:, 0] * reversal
+    span = Span.of([random.normal(size=(ROWS, MODEL))], [residual])
+    held = np.array([np.arange(ROWS) * 10 // ROWS == k for k in range(10)])
+    folds = Folds(held, held, 0.0, np.array([100]))
+    paths = Paths(span, columns, folds.out)
+    friction = {kind: np.zeros((ROWS, 1)) for kind in ("late", "early", "rest")}
+    found = [
+        judge(paths, folds, [0], [[0]] * 10, friction, steady)[0].deviations
+        for steady in (np.ones(ROWS, dtype=bool), ~reversal)
+    ]
+    assert found[0] > 3.0
+    assert found[1] < 0.0
