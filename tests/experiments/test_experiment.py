@@ -210,7 +210,7 @@ def test_one_length_without_a_motion_leaves_the_others(
     def short_ones(*arguments, duration, **options):
         if duration > 10.0:
             raise NoSolution("no trajectory within all limits was found")
-        return lieid.excite(*arguments, duration=duration, **options)
+        return lieid.excite(*arguments, duration=duration, max_iterations=20, **options)
 
     monkeypatch.setattr(motion, "excite", short_ones)
     purpose = Purpose("parameters", (("stribeck:1",),))
