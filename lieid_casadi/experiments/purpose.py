@@ -69,11 +69,15 @@ def purposes(diagnosis: Diagnosis | None, asked: Sequence[Purpose]) -> list[Purp
 
 
 def _is_uncertain(step: Step) -> bool:
-    """Whether an effect has an uncertain size, or is not found without a part of the data."""
+    """Whether an effect has an uncertain size, or further data of any motion may decide on it.
+
+    The motion that separates rivals has precedence: there may be none within the limits and the
+    time that is left, for the worse of both ways round.
+    """
     if step.status == "shape":
         return False
-    if step.status == "one_of" and not step.rivals:
-        return True
+    if step.status == "one_of":
+        return not step.rivals or any(rival.kind == "data" for rival in step.rivals)
     return all(step.std[k] > UNCERTAIN * abs(v) for k, v in step.parameters.items())
 
 

@@ -167,10 +167,12 @@ def ambiguous(given):
 
 def test_purposes(ambiguous):
     groups = (("stribeck:1", "viscous_polynomial:1"),)
-    excitation, rivals = purposes(ambiguous, [])
+    excitation, rivals, further = purposes(ambiguous, [])
     assert (excitation.kind, rivals.kind, rivals.groups) == ("excitation", "rivals", groups)
-    assert purposes(ambiguous, [excitation]) == [rivals]
-    assert purposes(ambiguous, [excitation, rivals, rivals]) == []  # two motions did not decide
+    assert (further.kind, further.groups) == ("parameters", (("stribeck:1",),))  # without a motion
+    assert purposes(ambiguous, [excitation]) == [rivals, further]
+    # two motions did not decide, nor did a further excitation
+    assert purposes(ambiguous, [excitation, rivals, rivals, further]) == []
     assert remaining(ambiguous) == ["stribeck:1 or viscous_polynomial:1: not separated."]
     (step,) = ambiguous.steps
     same = replace(step, rivals=(Rival("armature:1", "armature", (0,), "exact"),))
