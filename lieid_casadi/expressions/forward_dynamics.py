@@ -103,11 +103,7 @@ def obstacle(torque: TorqueExpressions, *, remedy: str) -> str:
 
 
 def indefinite_share(torque: TorqueExpressions) -> float:
-    """Return the share of poses within the limits whose mass matrix is not positive definite.
-
-    Tried are poses that are spread evenly over the joints' ranges (Sobol points); ±π rad and ±1 m
-    where a robot states no range. A symbolic payload counts as none.
-    """
+    """Return the share of poses (Sobol points) whose mass matrix is not positive definite."""
     robot = torque.model.robot
     q = _poses(robot)
     expression = torque.mass_matrix
@@ -120,11 +116,7 @@ def indefinite_share(torque: TorqueExpressions) -> float:
 
 
 def unsolved_share(torque: TorqueExpressions) -> float:
-    """Return the share of motions whose acceleration leaves a residual above 1e-9 of the torque.
-
-    It is above zero if friction changes by more than the load does, as no drive's does that moves.
-    Tried are motions with poses, velocities and accelerations (±10 rad/s²) within the limits.
-    """
+    """Return the share of motions whose acceleration leaves a residual above 1e-9 of the torque."""
     if not _depends_on_load(torque):
         return 0.0
     robot, m = torque.model.robot, torque.motion

@@ -67,11 +67,7 @@ POSE, STATE = "q sin cos", "q sin cos dq ddq"  # inputs of rigid functions
 
 
 class ModelFunctions:
-    """Lazily built functions of one model; inputs are (n,) columns unless stated.
-
-    Rigid functions take ``sin`` and ``cos`` of q beside q itself, so that generated code can
-    compute them separately.
-    """
+    """Lazily built functions of one model, in (n,) columns; rigid ones take sin q and cos q."""
 
     def __init__(self, model: Model) -> None:
         self.model, n = model, model.n

@@ -138,11 +138,7 @@ def _linear_start(factor: Factor, n: int) -> Array:
 
 
 def _most_likely(factors: Sequence[Factor], start: Array, noise: Array) -> Array:
-    """Return [gains; others] that minimize Σ_j ‖i_j − torque_j/k_j‖² / σ_j².
-
-    The unknowns are 1/k_j, so that a gain with a large uncertainty does not disturb the others;
-    ``noise`` (n,): standard deviations σ_j of the currents' noise, A.
-    """
+    """Return [gains; others] that minimize Σ_j ‖i_j − torque_j/k_j‖² / σ_j², σ (n,) of currents."""
     n = len(noise)
     moving = np.flatnonzero(start[:n]).tolist()
     current = [factors[j].r[:, j] / noise[j] for j in moving]

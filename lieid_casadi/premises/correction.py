@@ -1,8 +1,4 @@
-"""What corrects a premise: a change of the recording's signals, or of the robot's mounting.
-
-A correction is applied to recordings (by the options of the command line) and to the samples of
-the plain fit (to test it), by the same formulas.
-"""
+"""What corrects a premise, in recordings and in samples: a change of signals or of mounting."""
 
 from __future__ import annotations
 
@@ -273,11 +269,7 @@ def _joined(first: Finding, last: Finding) -> Finding:
 
 
 def for_recording(finding: Finding, recording: Recording) -> Finding:
-    """Return a finding whose remedy takes into account how the recording was read.
-
-    That is with stated columns, which one option then states with those that correct them, or with
-    torque constants, which are multiplied by the corrected ones.
-    """
+    """Return a finding whose remedy goes with the columns and torque constants of a recording."""
     columns = re.search(r"--columns (\S+) ?", finding.remedy)
     constants = re.search(r"--torque-constants (\S+)", finding.remedy)
     remedy = finding.remedy

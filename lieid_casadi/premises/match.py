@@ -26,11 +26,7 @@ LEAST_PART = 0.5
 
 
 def unexplained(errors: Errors) -> float | None:
-    """Return the part of the rigid torque that the stated inertias do not explain, or None.
-
-    RMS over the joints of what the stated inertias leave beyond the free fit's error, relative to
-    what friction alone leaves beyond it.
-    """
+    """Return the part (RMS over joints) of the rigid torque beyond the stated inertias, or None."""
     if errors.stated is None:
         return None
     floor = errors.free.error**2

@@ -105,11 +105,7 @@ class Samples:
 
 
 def samples_of(recordings: Sequence[Recording], *, most: int = 2400) -> Samples:
-    """Return low-passed signals of recordings with torque.
-
-    Velocities are derivatives of the positions. Of long recordings at most ``most`` instants are
-    used, in blocks of time at even distances.
-    """
+    """Return low-passed signals of recordings: derived velocities, ``most`` instants in blocks."""
     bare = [replace(r, dq=None, ddq=None, command=None, temperature=None) for r in recordings]
     for recording in bare:
         require_plausible_rate(recording.t, recording.title)

@@ -1,8 +1,4 @@
-"""Premises on single samples: angles not wrapped, no outliers, no held values, no clipping.
-
-Wrapped angles and outliers are repaired on reading (`lieid_casadi.recording.repairs`) and reported
-here; recordings made from arrays are repaired for the test.
-"""
+"""Premises on single samples, also repaired ones: not wrapped, no outliers, not held or clipped."""
 
 from __future__ import annotations
 

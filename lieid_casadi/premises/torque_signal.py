@@ -30,10 +30,7 @@ WEIGHTLESS = 0.3
 
 
 def gravity_compensated(screen: Screen) -> Iterator[Alternative]:
-    """Yield the torque without gravity, and without that of the stated inertias.
-
-    A controller compensates by a model of its own: what the arm weighs more remains in the torque.
-    """
+    """Yield the torque without gravity, and without that of a controller's model of its own."""
     none = Correction.none(screen.n)
     for with_what, correction, cost in (
         ("without gravity in the model", replace(none, gravity=np.zeros(3)), 0.0),

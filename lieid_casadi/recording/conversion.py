@@ -46,11 +46,7 @@ def unit_names(units: str | Sequence[str]) -> tuple[str, ...]:
 def convert_units(
     measurement: Measured, units: str | Sequence[str], revolute: Mask | None = None
 ) -> Measured:
-    """Return a measurement in SI units.
-
-    Units of angles apply to q, qcmd, dq (per second) and ddq (per second squared) of the joints
-    that turn (``revolute`` (n,); None: all of them), the time unit to t alone.
-    """
+    """Return a measurement in SI units; angles of joints that turn alone (``revolute`` (n,))."""
     time, angle = unit_factors(units)
     if time == 1.0 and angle == 1.0:
         return measurement

@@ -1,8 +1,4 @@
-"""Checks of a recording: errors for what is certainly wrong, warnings for the rest.
-
-Whether torque and motion belong to a robot (signs, order, mounting) is tested by
-`lieid_casadi.premises`.
-"""
+"""Checks of a recording: errors for what is certainly wrong, warnings for the rest."""
 
 from __future__ import annotations
 

@@ -209,11 +209,7 @@ def _numbers(joints: Mask) -> tuple[int, ...]:
 
 
 def without_repeats(segment: Measured) -> tuple[Measured, RepeatedRowsWarning | None]:
-    """Return a segment without repeated rows, and a warning if there were any.
-
-    Where the remaining rows fit uniform stamps to within the recorder's period, uniform stamps
-    replace those of the recorder.
-    """
+    """Return a segment without repeated rows, on uniform stamps where they fit, and a warning."""
     fresh = ~repeats(segment)
     removed = int(np.sum(~fresh))
     if not removed:

@@ -57,11 +57,7 @@ def mean_rate(t: Array) -> float:
 
 
 def sample_rate(t: Array) -> float:
-    """Return the rate of uniform instants that follow the stamps, Hz (t: (N,), N ≥ 2).
-
-    One over the median step, but at most four times the mean rate: stamps in clusters have a
-    median step that is unrelated to the spacing of the measurements.
-    """
+    """Return the rate, Hz, of uniform instants: of the median step, at most four times the mean."""
     return min(1.0 / sample_period(t), INSTANTS_PER_ROW * mean_rate(t))
 
 

@@ -102,11 +102,7 @@ def _noise_frequencies(q: Array, dq: Array, tau: Array, rate: float, moving: Mas
 
 
 def motion_band(recording: Recording) -> float | None:
-    """Return the frequency, Hz, below which 99 % of the velocity's power lies; None at rest.
-
-    In the longest segment; median over the joints that move by more than 0.01; the lower one
-    of measured velocity and differenced position, since either may be noisy.
-    """
+    """Return the frequency, Hz, below which 99 % of the velocity's power lies; None at rest."""
     longest = max(recording.segments(), key=len)
     moves = np.ptp(longest.q, axis=0) > LEAST_MOTION
     if len(longest) < LEAST_ROWS or not moves.any():

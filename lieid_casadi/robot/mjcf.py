@@ -339,11 +339,7 @@ def _parameters(model: Any, data: Any, body: int, bodies: Sequence[int]) -> Arra
 
 
 def _drive(model: Any, joint: int) -> tuple[Drive | None, float]:
-    """Return the control law of a joint's position actuator, and the torque limit, N·m.
-
-    An actuator with a gear acts on the angle times its ratio: its stiffness grows with the
-    square, and a command is in units of the motor's side.
-    """
+    """Return a joint's control law and torque limit, N·m; its stiffness has the gear squared."""
     force = NOT_STATED
     if model.jnt_actfrclimited[joint]:
         force = float(model.jnt_actfrcrange[joint, 1])

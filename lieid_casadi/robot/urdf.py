@@ -288,10 +288,7 @@ _lock = Lock()  # the descriptors belong to the process
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Discard what a native library writes to the file descriptors 1 and 2 of the process.
-
-    Libraries such as urdfdom print their complaints there, past Python's ``sys.stderr``.
-    """
+    """Discard what a native library writes to the file descriptors 1 and 2 of the process."""
     with _lock, open(os.devnull, "wb") as nowhere, ExitStack() as restore:
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:

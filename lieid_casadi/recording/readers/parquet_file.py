@@ -40,11 +40,7 @@ BATCH = 1 << 15  # rows decoded at once
 
 
 def read_parquet(file: Path, options: ReadOptions) -> Measurement:
-    """Read a Parquet file; columns with other names are not read.
-
-    Of a file whose columns exceed an eighth of the memory, the mean of every few rows is read, or
-    the rows of the part that is asked for.
-    """
+    """Read a Parquet file; of one beyond an eighth of the memory, means of rows or a part."""
     _, parquet = import_pyarrow(file)
     require_bounded_size(file)
     large = decoded_bytes(file) > MEMORY_PART * memory_bytes()

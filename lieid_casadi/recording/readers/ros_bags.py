@@ -35,12 +35,7 @@ class _JointState(NamedTuple):
 
 
 def read_bag(file: Path, options: ReadOptions) -> Measurement:
-    """Read position, velocity and effort of one JointState topic.
-
-    Time is that of the messages' headers (of their arrival where headers are unstamped),
-    from 0 at the first message. Messages with none of the joints, such as a gripper's, are
-    ignored.
-    """
+    """Read one JointState topic at the headers' times; messages of other joints are ignored."""
     wanted, others = options.joint_names, tuple[str, ...]()
     messages, orders = list[_JointState](), list[list[int]]()
     for message in _messages(file, options):
