@@ -14,7 +14,13 @@ import numpy as np
 from lieid_casadi.errors import FleetError
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History
-from lieid_casadi.fleet.judging import ChangedQuantity, JudgedArm, judge_night
+from lieid_casadi.fleet.judging import (
+    ChangedQuantity,
+    JudgedArm,
+    RepeatedEffect,
+    judge_night,
+    label_of,
+)
 from lieid_casadi.fleet.night_result import Finding
 
 #: What to do about an effect, or about a kind of effects by a part of their name.
@@ -95,22 +101,21 @@ def updated_alarms(open_alarms: Sequence[Alarm], judged: JudgedArm) -> list[Alar
     """
     alarms = [_continued(alarm, judged) for alarm in open_alarms]
     owned = frozenset[str]().union(*(alarm.labels for alarm in alarms))
-    news = [c for c in judged.changed if c.quantity.label not in owned]
-    if not news or (alarms and news[0].since == judged.arm.dates[-1]):
+    changed = [c for c in judged.changed if c.label not in owned]
+    repeated = [r for r in judged.repeated if r.label not in owned]
+    news: list[ChangedQuantity | RepeatedEffect] = [*changed, *repeated]
+    if not news or not (changed or _named(judged.arm, news[0].since)):
+        return alarms
+    if alarms and news[0].since == judged.arm.dates[-1]:
         return alarms  # one night does not show whether it has another cause
-    new = _described(judged.arm, news, news[0].since)
-    labels = {c.quantity.label for c in news} | {label_of(new.quantity, new.joint)}
+    new = _described(judged.arm, changed, news[0].since)
+    labels = {item.label for item in news} | {label_of(new.quantity, new.joint)}
     new = replace(new, series=",".join(sorted(labels)))
     for k, alarm in enumerate(alarms):
         if _is_same(alarm, new, judged.arm):
             alarms[k] = replace(alarm, series=",".join(sorted(alarm.labels | new.labels)))
             return alarms
     return [*alarms, new]
-
-
-def label_of(name: str, joint: int | None) -> str:
-    """Return a name with the joint, from 1, if there is one."""
-    return name if joint is None else f"{name}:{joint}"
 
 
 def _is_same(alarm: Alarm, new: Alarm, arm: ArmHistory) -> bool:
@@ -132,10 +137,12 @@ def _continued(alarm: Alarm, judged: JudgedArm) -> Alarm:
     Another motion changes the coefficients of an arm that its fit does not describe. As long as the
     diagnoses find the effect of the alarm, which they found before that as well, this is no news.
     """
-    own = [c for c in judged.changed if c.quantity.label in alarm.labels]
-    if not own:
+    own = [c for c in judged.changed if c.label in alarm.labels]
+    if not own and not any(r.label in alarm.labels for r in judged.repeated):
         return alarm
-    effect, since = (alarm.quantity, alarm.joint), own[0].since
+    effect, since = (alarm.quantity, alarm.joint), own[0].since if own else alarm.since
+    if not own and not _named(judged.arm, since):
+        return replace(alarm, last=judged.arm.dates[-1])
     if effect in _named(judged.arm, alarm.since) and effect not in _named(judged.arm, since):
         since = alarm.since
     fresh = _described(judged.arm, own, since)

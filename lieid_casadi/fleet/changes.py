@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import digamma, polygamma, stdtr
-from scipy.stats import chi2, f, median_abs_deviation
+from scipy.stats import betabinom, chi2, f, median_abs_deviation
 
 from lieid_casadi.arrays import Array
 
@@ -352,3 +352,30 @@ def _shapes(day_bytes: bytes) -> tuple[Array, NDArray[np.intp], Array]:
     drift_shapes = np.maximum(days[:, None] - days[starts], 0.0)
     kinds = np.array(["step"] * len(steps) + ["drift"] * len(starts))
     return kinds, np.concatenate([steps, starts + 1]), np.hstack([step_shapes, drift_shapes])
+
+
+#: Nights that the rate of the other arms counts as: rates of arms are alike, or differ freely.
+RATE_WEIGHTS = (20.0, 1.0)
+
+
+def repeated_finding(found: NDArray[np.bool_], rate: float) -> tuple[float, int]:
+    """Return the p-value that an effect is found more often since a night, and that night.
+
+    The rate of an arm has a beta distribution around that of the other arms, which the nights
+    before update; the number of findings since then has a beta-binomial distribution. The larger
+    p-value of a narrow and of a wide beta distribution is taken. It is corrected for the number of
+    beginnings. ``rate`` (above 0) is the part of the other arms' nights on which it was found.
+    """
+    best, first = 1.0, len(found) - 1
+    for k in np.flatnonzero(found):
+        if k < BASELINE_NIGHTS:
+            continue
+        own, after = int(found[:k].sum()), found[k:]
+        counts = np.arange(after.sum(), len(after) + 1)
+        p = len(found) * max(
+            float(betabinom.pmf(counts, len(after), own + w * rate, k - own + w * (1 - rate)).sum())
+            for w in RATE_WEIGHTS
+        )
+        if p < best:
+            best, first = p, int(k)
+    return min(best, 1.0), first

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -22,6 +22,7 @@ from lieid_casadi.fleet.changes import (
     NightSeries,
     ScatterPrior,
     TemperaturePrior,
+    repeated_finding,
     scatter_prior,
     strongest_change,
     temperature_prior,
@@ -34,6 +35,7 @@ KNOWN_CHANGE = 0.01  # p-value of a quantity of a joint with an open alarm, not 
 DISCOVERY_RATE = 0.05  # false discoveries among the arms with a new change, at most
 LEAST_SIZE = 3.0  # of a change, in units of the night-to-night scatter
 SEEN_WITHOUT_NIGHT = 0.01  # p-value at which nights show a change without any one of them
+RARE_FINDING = 0.002  # least rate of a finding, per night
 POOLED = 400  # arms of a kind from which the scatter of the kind is estimated
 FEWEST_ARMS = 6  # of one kind that are compared
 MOST_OUTLIERS = 0.25  # part of the arms of a kind
@@ -48,6 +50,39 @@ class ChangedQuantity:
     change: Change
     since: date
 
+    @property
+    def label(self) -> str:
+        """Label of the quantity."""
+        return self.quantity.label
+
+    @property
+    def joint(self) -> int | None:
+        """Joint of the quantity, from 1."""
+        return self.quantity.joint
+
+
+@dataclass(frozen=True)
+class RepeatedEffect:
+    """An effect that diagnoses find on an arm since a night."""
+
+    effect: str
+    joint: int | None
+    since: date
+
+    @property
+    def label(self) -> str:
+        """Name of the effect, with its joint if it has one."""
+        return label_of(self.effect, self.joint)
+
+
+def label_of(name: str, joint: int | None) -> str:
+    """Return a name with the joint, from 1, if there is one."""
+    return name if joint is None else f"{name}:{joint}"
+
+
+#: What may have changed, and the p-value.
+Test = tuple[ChangedQuantity | RepeatedEffect, float]
+
 
 @dataclass(frozen=True, eq=False)
 class JudgedArm:
@@ -55,6 +90,7 @@ class JudgedArm:
 
     arm: ArmHistory
     changed: tuple[ChangedQuantity, ...]
+    repeated: tuple[RepeatedEffect, ...]
 
 
 @blas_on_one_thread
@@ -76,54 +112,65 @@ def judge_night(
     alarmed = alarmed or {}
     known = [arm for arm in (each.until(last) for each in arms) if arm.dates]
     tonight = [arm for arm in known if arm.dates[-1] == last]
-    scatter, warmth = _priors(known)
-    tests = [_tests(arm, scatter, warmth, alarmed.get(arm.serial, ())) for arm in tonight]
+    tests, smallest = _adjusted_tests(tonight, known, alarmed)
     quiet = [k for k, arm in enumerate(tonight) if arm.serial not in alarmed]
     chosen = set(range(len(tonight)))
     if quiet:
-        smallest = [min((p for _, p in tests[k]), default=1.0) for k in quiet]
-        rates = false_discovery_control(smallest)
+        rates = false_discovery_control([smallest[k] for k in quiet])
         chosen -= {k for k, rate in zip(quiet, rates, strict=True) if rate > DISCOVERY_RATE}
-    return [
-        JudgedArm(arm, _significant(arm, tests[k]) if k in chosen else ())
-        for k, arm in enumerate(tonight)
-    ]
+    return [_judged(arm, tests[k] if k in chosen else []) for k, arm in enumerate(tonight)]
 
 
-def _tests(
-    arm: ArmHistory,
-    scatter: Mapping[tuple[str, str, bool], ScatterPrior],
-    warmth: Mapping[tuple[str, Quantity], TemperaturePrior],
-    alarmed: Collection[int | None],
-) -> list[tuple[ChangedQuantity, float]]:
-    """Return the strongest change of each quantity, and its p-value, adjusted for their number."""
-    items = []
-    for quantity, series, first in _judged_series(arm):
-        prior = scatter.get((arm.robot, quantity.name, series.has_temperature))
-        change = strongest_change(
-            series,
-            prior or scatter_prior([series]),  # no arm of the pool is like it
-            warmth.get((arm.robot, quantity)),
-            rises_only=quantity.name == ERROR,
-        )
-        if change is not None:
-            items.append(ChangedQuantity(quantity, change, arm.dates[first + change.first]))
-    if not items:
-        return []
-    adjusted = false_discovery_control([item.change.p_value for item in items])
-    of_known = FALSE_ALARMS / KNOWN_CHANGE
-    return [
-        (item, of_known * item.change.p_value if item.quantity.joint in alarmed else float(p))
-        for item, p in zip(items, adjusted, strict=True)
-    ]
+def _adjusted_tests(
+    tonight: Sequence[ArmHistory],
+    known: Sequence[ArmHistory],
+    alarmed: Mapping[str, Collection[int | None]],
+) -> tuple[list[list[Test]], list[float]]:
+    """Return, for each arm, significant changes, and the smallest p-value of all.
+
+    The p-values are adjusted for the number of quantities of the arm.
+    """
+    scatter, warmth = _priors(known)
+    # on an arm that has changed an effect is found every night; each arm therefore counts once
+    counts = Counter(x for arm in known for x in {e for night in arm.found for e, _ in night})
+    nights = sum(len(arm.dates) for arm in known)
+    significant, smallest = [], []
+    for arm in tonight:
+        tests: list[Test] = []
+        for quantity, series, first in _judged_series(arm):
+            prior = scatter.get((arm.robot, quantity.name, series.has_temperature))
+            change = strongest_change(
+                series,
+                prior or scatter_prior([series]),  # no arm of the pool is like it
+                warmth.get((arm.robot, quantity)),
+                rises_only=quantity.name == ERROR,
+            )
+            if change is not None:
+                item = ChangedQuantity(quantity, change, arm.dates[first + change.first])
+                tests.append((item, change.p_value))
+        others = max(nights - len(arm.dates), 1)
+        rates = {e: (counts[e] - 1) / others for night in arm.found for e, _ in night}
+        tests += _repeated(arm, rates)
+        if tests:
+            p_values = false_discovery_control([p for _, p in tests])
+            known_joints, limit = alarmed.get(arm.serial, ()), FALSE_ALARMS / KNOWN_CHANGE
+            tests = [
+                (item, limit * own if item.joint in known_joints else float(p))
+                for (item, own), p in zip(tests, p_values, strict=True)
+            ]
+        smallest.append(min((p for _, p in tests), default=1.0))
+        significant.append([test for test in tests if test[1] <= FALSE_ALARMS])
+    return significant, smallest
 
 
-def _significant(
-    arm: ArmHistory, tests: Sequence[tuple[ChangedQuantity, float]]
-) -> tuple[ChangedQuantity, ...]:
-    """Return the significant and relevant changes, the most significant first."""
-    found = [test for test in tests if test[1] <= FALSE_ALARMS and _is_relevant(arm, test[0])]
-    return tuple(item for item, _ in sorted(found, key=itemgetter(1)))
+def _judged(arm: ArmHistory, tests: Sequence[Test]) -> JudgedArm:
+    found = [test for test in tests if _is_relevant(arm, test[0])]
+    items = [item for item, _ in sorted(found, key=itemgetter(1))]
+    return JudgedArm(
+        arm,
+        tuple(item for item in items if isinstance(item, ChangedQuantity)),
+        tuple(item for item in items if isinstance(item, RepeatedEffect)),
+    )
 
 
 def _judged_series(arm: ArmHistory) -> list[tuple[Quantity, NightSeries, int]]:
@@ -170,8 +217,22 @@ def _priors(
     return scatter, warmth
 
 
-def _is_relevant(arm: ArmHistory, item: ChangedQuantity) -> bool:
+def _repeated(arm: ArmHistory, rates: dict[str, float]) -> list[tuple[RepeatedEffect, float]]:
+    """Return effects that were found this night and before, and their p-values."""
+    found = []
+    for effect, joint in arm.found[-1]:
+        first = arm.baseline_of(joint)
+        nights = np.array([(effect, joint) in night for night in arm.found[first:]])
+        if effect != "unexplained" and nights.sum() >= 2 and len(nights) >= FEWEST_NIGHTS:
+            p, start = repeated_finding(nights, max(rates[effect], RARE_FINDING))
+            found.append((RepeatedEffect(effect, joint, arm.dates[first + start]), p))
+    return found
+
+
+def _is_relevant(arm: ArmHistory, item: ChangedQuantity | RepeatedEffect) -> bool:
     """Whether a change exceeds the scatter, and is more than one unusual night."""
+    if isinstance(item, RepeatedEffect):
+        return True
     change = item.change
     if abs(change.size) < LEAST_SIZE * change.scatter:
         return False

@@ -6,6 +6,7 @@ import pytest
 from lieid_casadi.fleet.changes import (
     NightSeries,
     ScatterPrior,
+    repeated_finding,
     scatter_prior,
     strongest_change,
     temperature_prior,
@@ -92,6 +93,27 @@ def test_only_rises_of_an_error_count():
     falling = series([5.0, 5.1, 4.9, 5.0, -20.0, -20.0, -20.0])
     assert strongest_change(falling, PRIOR).p_value < 1e-6
     assert strongest_change(falling, PRIOR, rises_only=True).p_value > 0.9
+
+
+def test_an_effect_that_is_found_again_and_again():
+    found = np.array([False] * 6 + [True] * 3)
+    p, first = repeated_finding(found, 0.002)
+    assert first == 6
+    assert p < 1e-4
+    once, _ = repeated_finding(np.array([False] * 8 + [True]), 0.002)
+    assert once > 1e-3
+    always, _ = repeated_finding(np.ones(9, dtype=bool), 0.002)
+    assert always > 1e-3
+
+
+def test_p_values_of_findings_if_the_rates_of_the_arms_differ():
+    random = np.random.default_rng(6)
+    rate, weight, arms = 0.02, 20.0, 8_000
+    rates = random.beta(weight * rate, weight * (1.0 - rate), size=arms)
+    found = random.random((arms, 12)) < rates[:, None]
+    p = np.array([repeated_finding(each, rate)[0] for each in found if each[4:].any()])
+    assert np.sum(p < 0.01) <= 0.01 * arms
+    assert np.sum(p < 1e-3) <= 1e-3 * arms
 
 
 def test_a_change_without_one_of_its_nights():
