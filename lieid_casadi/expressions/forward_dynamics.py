@@ -30,7 +30,7 @@ def acceleration(torque: TorqueExpressions) -> ca.SX:
     m = torque.motion
     rigid = torque.mass_matrix
     at_zero = _bias(torque, ca.SX.zeros(torque.n))
-    if not _depends_on_load(torque):
+    if not _is_nonlinear(torque):
         return _solve_symmetric(rigid, torque.tau - at_zero)
     ddq = _solve_symmetric(rigid, torque.tau - at_zero)
     slope = inertia(torque)
@@ -46,21 +46,23 @@ def _bias(torque: TorqueExpressions, ddq: ca.SX) -> ca.SX:
     return ca.substitute(torque.inverse_dynamics, torque.motion.ddq, ddq)
 
 
-def _depends_on_load(torque: TorqueExpressions) -> bool:
+def _is_nonlinear(torque: TorqueExpressions) -> bool:
     """Whether the torque depends on the acceleration by more than the mass matrix."""
-    by = ca.vertcat(torque.load, torque.motion.ddq)
-    return torque.uses_load or bool(ca.depends_on(torque.measurement_torque, by))
+    m = torque.motion
+    varies = ca.depends_on(torque.armature, ca.vertcat(m.dq, m.ddq))
+    by = ca.vertcat(torque.load, m.ddq)
+    return torque.uses_load or varies or bool(ca.depends_on(torque.measurement_torque, by))
 
 
 def inertia(torque: TorqueExpressions) -> ca.SX:
     """Return ∂ID/∂q̈ (n, n): the mass matrix, with the share that friction adds by the load."""
-    if not _depends_on_load(torque):
+    if not _is_nonlinear(torque):
         return torque.mass_matrix
     effects = torque.joint_torque + torque.measurement_torque
     by_load = ca.mtimes(ca.jacobian(effects, torque.load), torque.link_mass_matrix)
     direct = ca.jacobian(torque.measurement_torque, torque.motion.ddq)
     added = ca.substitute(by_load + direct, torque.load, torque.rigid_torque)
-    return torque.mass_matrix + added
+    return torque.rigid_mass_matrix + torque.armature + added
 
 
 def derivatives(torque: TorqueExpressions, symbols: Sequence[ca.SX]) -> list[ca.SX]:
@@ -68,7 +70,7 @@ def derivatives(torque: TorqueExpressions, symbols: Sequence[ca.SX]) -> list[ca.
     matrix = inertia(torque)
     slopes = [ca.jacobian(torque.inverse_dynamics, symbol) for symbol in symbols]
     right = ca.horzcat(*(-slope for slope in slopes), ca.SX.eye(torque.n))
-    if _depends_on_load(torque):
+    if _is_nonlinear(torque):
         solution = ca.solve(matrix, ca.densify(right))
     else:
         solution = _solve_symmetric(matrix, ca.densify(right))
@@ -95,9 +97,10 @@ def obstacle(torque: TorqueExpressions, *, remedy: str) -> str:
     share = unsolved_share(torque)
     if share > 0.0:
         return (
-            "friction that depends on the load changes by more than the load, so that the "
+            "friction that depends on the load, or a smooth function of the acceleration, changes "
+            "by more than the load, so that the "
             f"acceleration is not determined in {100.0 * share:.1f} % of motions within the "
-            "limits; expected smaller coefficients of load friction"
+            "limits; expected smaller coefficients of load friction and smooth functions"
         )
     return ""
 
@@ -117,7 +120,7 @@ def indefinite_share(torque: TorqueExpressions) -> float:
 
 def unsolved_share(torque: TorqueExpressions) -> float:
     """Return the share of motions whose acceleration leaves a residual above 1e-9 of the torque."""
-    if not _depends_on_load(torque):
+    if not _is_nonlinear(torque):
         return 0.0
     robot, m = torque.model.robot, torque.motion
     fast = robot.limit("velocity")

@@ -319,10 +319,16 @@ class TorqueExpressions:
         return closed_form.mass_matrix(self.model.robot, self.motion, self.links)
 
     @cached_property
+    def rigid_mass_matrix(self) -> ca.SX:
+        """M (n, n) of the links and the payload."""
+        return closed_form.mass_matrix(self.model.robot, self.motion, self.all_links)
+
+    @cached_property
     def mass_matrix(self) -> ca.SX:
-        """M (n, n), armature included."""
-        rigid = closed_form.mass_matrix(self.model.robot, self.motion, self.all_links)
-        return rigid + self.armature
+        """M (n, n), armature included: that at rest, where it depends on the motion."""
+        m, zero = self.motion, ca.SX.zeros(self.n)
+        (armature,) = ca.substitute([self.armature], [m.dq, m.ddq], [zero, zero])
+        return self.rigid_mass_matrix + armature
 
     @cached_property
     def coriolis(self) -> ca.SX:

@@ -127,10 +127,10 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
         return found
 
     f = _forces(torque, sign, error, given, drives)
-    rigid = ca.substitute(torque.mass_matrix - torque.armature, m.ddq, ca.SX.zeros(n))
-    implicit = torque.armature - IMPLICIT * h * f.by_dq - (IMPLICIT * h) ** 2 * f.by_q
+    armature = ca.substitute(torque.armature, sign, ca.sign(m.dq))
+    implicit = armature - IMPLICIT * h * f.by_dq - (IMPLICIT * h) ** 2 * f.by_q
     motor, level, implicit = at(to_motors, f.motor, f.level, implicit)
-    bias, rigid, load = at(to_links, f.bias, rigid, torque.rigid_torque)
+    bias, rigid, load = at(to_links, f.bias, torque.rigid_mass_matrix, torque.rigid_torque)
     matrix = to_links.T @ rigid @ to_links + to_motors.T @ implicit @ to_motors
     inverse = ca.solve(ca.densify(matrix), ca.SX.eye(x.size))
     free = speed + h * (inverse @ (to_motors.T @ motor - to_links.T @ bias))

@@ -331,3 +331,22 @@ def test_misuse_states_what_is_expected():
     shown = repr(symbolic(FIT))
     assert "mass_matrix: q -> M (n, n)" in shown
     assert "forward_dynamics: (q, dq, tau) -> ddq" in shown
+
+
+@pytest.mark.parametrize("effect", ["smooth/ddq:1", "smooth/dq.ddq:1"])
+def test_a_function_of_the_acceleration_has_a_mass_matrix_and_forward_dynamics(effect):
+    robot = lieid.robots.two_link()
+    fit = made_fit(robot, f"coulomb,viscous,armature,{effect}")
+    small = np.where([c.name.startswith("smooth") for c in fit.model.columns], 0.05, 1.0)
+    links, coefficients = fit.parameters[:20], fit.parameters[20:] * small
+    values = fit.model.base.combination @ np.concatenate([links, coefficients])
+    fit = dataclasses.replace(fit, values=values, parameters=np.concatenate([links, coefficients]))
+    arm = symbolic(fit)
+    q, dq, tau = np.array([0.3, 0.5]), np.array([0.5, -0.8]), np.array([4.0, -2.0])
+    ddq = arm.forward_dynamics(q, dq, tau)
+    found = arm.inverse_dynamics(q, dq, ddq).full().ravel()
+    np.testing.assert_allclose(found, tau, atol=1e-9)
+    step = 1e-6
+    ends = [[arm.inverse_dynamics(q, 0, x * e).full() for x in (step, -step)] for e in np.eye(2)]
+    slopes = np.hstack([(after - before) / (2 * step) for after, before in ends])
+    np.testing.assert_allclose(arm.mass_matrix(q).full(), slopes, atol=1e-6)
