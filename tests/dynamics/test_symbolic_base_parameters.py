@@ -12,6 +12,7 @@ from robot.random_arms import random_arm
 
 from lieid_casadi import Model, Robot, robots
 from lieid_casadi.dynamics.symbolic_lengths import Polynomial, lengths_of, symbolic_base
+from lieid_casadi.errors import ModelError
 
 FRICTION = "coulomb,viscous,offset,armature"
 
@@ -42,8 +43,14 @@ def test_real_arms(path, lock):
     check(Robot.from_urdf(path, lock=lock), FRICTION)
 
 
-@given(seed=st.integers(0, 10_000), n=st.integers(2, 4))
+@given(seed=st.integers(0, 10_000), n=st.integers(2, 3))
 @settings(max_examples=6, deadline=None)
 def test_random_arms(seed, n):
     """Revolute and prismatic joints, axes in any direction, some off their link frames."""
     check(random_arm(np.random.default_rng(seed), n), tolerance=1e-6)
+
+
+def test_an_arm_whose_parameters_are_no_polynomials_is_refused():
+    """Four axes in any directions; those of real arms are parallel, perpendicular or meet."""
+    with pytest.raises(ModelError, match=r"no polynomial of low degree.*without --symbolic"):
+        check(random_arm(np.random.default_rng(247), 4))
