@@ -187,17 +187,20 @@ class MissingEffects:
         for j in range(fit.model.n):
             alike = [a for a in accepted if a.joint == j and follows_velocity(a.candidate.effect)]
             for found in _other_forms(alike, self.first.model):
-                others = [a for a in accepted if a not in alike]
+                others = [*(a for a in accepted if a not in alike), found]
                 try:
-                    simpler = self._fitted([*others, found])
+                    other = self._fitted(others)
                 except NoSolution:
                     continue
-                kept = self._with_plausible_values(simpler, [*others, found])
                 fewer = found.candidate.parameters < sum(a.candidate.parameters for a in alike)
                 most = fit.rms_cv[j] * (1.0 - self.options.worth) ** (-1 if fewer else 1)
-                sure = found.determined(simpler, self.options.gain_deviations)
-                if sure and len(kept) > len(others) and simpler.rms_cv[j] <= most:
-                    fit, accepted = simpler, kept
+                sure = found.determined(other, self.options.gain_deviations)
+                doubtful = any(self._reason_against(other, each) for each in others)
+                if doubtful or not sure or other.rms_cv[j] > most:
+                    continue
+                errors = float(fit.rms_cv[j]), float(other.rms_cv[j])
+                if self.ask is None or self.ask(Proposal(found.placement.label, j, *errors)):
+                    fit, accepted = other, others
                     break
         return fit, accepted
 
@@ -336,14 +339,18 @@ class MissingEffects:
         """Return the effects whose fitted values are plausible; the others are refused."""
         kept = []
         for found in added:
-            values, shapes, _ = fitted_values(fit, found.placement)
-            reason = reason_against(found.candidate, shapes, values, self.segments)
+            reason = self._reason_against(fit, found)
             if reason is None:
                 kept.append(found)
             else:
                 self.rejected[found.placement.label] = reason
                 self.refused.add(found.placement.label)
         return kept
+
+    def _reason_against(self, fit: Fit, found: Accepted) -> str | None:
+        """Return why the fitted values of an effect are implausible, or None."""
+        values, shapes, _ = fitted_values(fit, found.placement)
+        return reason_against(found.candidate, shapes, values, self.segments)
 
     def _fitted(self, added: Sequence[Accepted]) -> Fit:
         """Return the fit of the first model with further effects, as `identify` fits it."""

@@ -182,7 +182,7 @@ class Rows:
         """
         parts = []
         for s in self.segments:
-            turned = ~s.moving.copy()
+            turned = ~s.moving
             turned[1:] |= np.sign(s.dq[1:]) != np.sign(s.dq[:-1])
             reach = 2 * round(REACH * s.rate / s.cutoff) + 1
             parts.append(maximum_filter1d(turned, reach, axis=0)[s.kept])

@@ -22,6 +22,7 @@ from lieid_casadi.premises.plain_fit import Samples, samples_of
 from lieid_casadi.premises.rigid_columns import RigidArm
 from lieid_casadi.premises.screen import Alternative, Errors, Screen
 from lieid_casadi.recording import Recording
+from lieid_casadi.recording.conversion import is_torque_of_laws
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.recording.repairs import repaired
 from lieid_casadi.robot import Robot
@@ -202,6 +203,11 @@ class _State:
         return cls(robot, tuple(made), samples_of(made), arm, tuple(findings), placeholder)
 
     @cached_property
+    def commanded(self) -> bool:
+        """Whether all torques are those of the drives' laws."""
+        return all(r.drives and is_torque_of_laws(r, r.drives) for r in self.recordings)
+
+    @cached_property
     def compared(self) -> Screen:
         """A quick comparison of many hypotheses from here."""
         return self._screen(COMPARED, parts=False)
@@ -237,7 +243,7 @@ def _strongest(state: _State, report: Progress, depth: int) -> tuple[Finding, Co
         return None  # no alternative could be confirmed
     screen = state.compared
     scored: list[tuple[float, Alternative]] = []
-    tests = list(_alternatives(screen))
+    tests = list(_alternatives(state, screen))
     for k, (name, make) in enumerate(tests):
         report(name, (0.1 + 0.85 * (depth + k / len(tests)) / DEPTH))
         made = list(make)
@@ -253,7 +259,7 @@ def _strongest(state: _State, report: Progress, depth: int) -> tuple[Finding, Co
     return None
 
 
-def _alternatives(screen: Screen) -> Iterator[tuple[str, Iterator[Alternative]]]:
+def _alternatives(state: _State, screen: Screen) -> Iterator[tuple[str, Iterator[Alternative]]]:
     """Yield the alternatives of each premise with its name."""
     if screen.gravity.any():
         yield "gravity_direction", mounting.alternatives(screen)
@@ -265,7 +271,8 @@ def _alternatives(screen: Screen) -> Iterator[tuple[str, Iterator[Alternative]]]
     yield "joint_coupling", joints.couplings(screen)
     yield "position_unit", joints.degrees(screen)
     yield "torque_unit", torque_signal.units(screen)
-    yield "time_offset", timing.delays(screen)
+    if not state.commanded:
+        yield "time_offset", timing.delays(screen)
 
 
 def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
@@ -440,6 +447,8 @@ def _not_checkable(state: _State, found: set[str], tested: bool) -> tuple[tuple[
         ("joint_order", joints.alike(screen)),
         ("velocity_signal", None if np.isfinite(state.samples.measured).all() else
          "the recording has no velocities"),
+        ("time_offset", "the delay of commands is an effect of the model, command_delay"
+         if state.commanded else None),
         ("same_motion", None if tested else "no test recording was given"),
     ]  # fmt: skip
     return tuple((p, why) for p, why in reasons if why is not None and p not in found)

@@ -239,6 +239,26 @@ def test_another_form_of_friction_over_speed_is_in_the_place_of_what_imitates_it
     assert step.parameters == pytest.approx(expected, rel=0.1)
 
 
+def test_the_user_is_asked_before_another_form_takes_the_place_of_effects():
+    size = 0.4 * float(plant.torque_scale(ROBOT)[0])
+    odd = plant.ForeignTorque(
+        0, lambda s: size * np.tanh(s.dq[..., 0] / 0.005) * np.exp(-np.abs(s.dq[..., 0]) / 0.4)
+    )
+    asked = []
+
+    def ask(proposal):
+        asked.append(proposal)
+        return "/exponent" not in proposal.label
+
+    diagnosis = lieid.diagnose(MODEL, run(arm_with().with_effects(odd), 1), ask=ask)
+    (form,) = (proposal for proposal in asked if "/exponent" in proposal.label)
+    assert form.joint == 0
+    labels = {step.label for step in diagnosis.steps}
+    assert labels
+    assert not any("/exponent" in label for label in labels)
+    assert not labels & {effect for effect, _ in diagnosis.rejected}
+
+
 def test_a_smooth_function_leaves_gravity_to_the_links():
     """A function of an angle resembles gravity: what the data do not decide must not be large."""
     stop = plant.ForeignTorque(0, lambda s: 8.0 * np.maximum(s.q[..., 0] - 0.5, 0.0))

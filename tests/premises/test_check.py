@@ -436,3 +436,17 @@ def test_the_mounting_of_a_urdf_is_in_the_fit(tmp_path, run):
     loaded = lieid.Fit.load(tmp_path / "fit.json").model.robot
     np.testing.assert_array_equal(loaded.gravity, gravity)
     assert loaded.source is not None
+
+
+def test_the_delay_of_commands_is_no_premise(run):
+    """It is an effect of the model: a torque from the laws of the drives is early by it."""
+    early = shifted(run.t, run.tau, 0.04)
+    drives = (lieid.Drive(stiffness=1000.0),) * N
+    as_measured = replace(run, tau=early)
+    commanded = replace(run, tau=None, command=run.q + early / 1000.0).with_drives(drives)
+    np.testing.assert_allclose(commanded.tau, early, atol=1e-9)
+    names = [f.premise for f in lieid.check(ROBOT, as_measured).findings]
+    assert names == ["time_offset"]
+    made = lieid.check(ROBOT, commanded)
+    assert "time_offset" not in [f.premise for f in made.findings]
+    assert "time_offset" in dict(made.not_checkable)
