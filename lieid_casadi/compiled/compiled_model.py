@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping
-from typing import Any, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +25,12 @@ from lieid_casadi.model import Model, as_model
 from lieid_casadi.robot import Robot
 
 # Functions that consist of several parts side by side; the others are one part of the same name.
-_PARTS = {"base_regressor": ("base_regressor", "base_effects")}
+_PARTS = {
+    "base_regressor": ("base_regressor", "base_effects"),
+    "base_links": ("base_regressor",),
+    "base_effects": ("base_effects",),
+}
+Part = Literal["base_regressor", "base_links", "base_effects"]
 _VECTORS = ("inverse_dynamics", "gravity", "effect_torque")
 _FLOAT = np.dtype(np.float64)
 
@@ -190,12 +195,18 @@ class Compiled:
         dq: ArrayLike,
         ddq: ArrayLike,
         *,
+        part: Part = "base_regressor",
         size: int | None = None,
         **signals: Unpack[EffectSignals],
     ) -> BaseBlocks:
-        """See `base_regressor`; in blocks of ``size`` samples, by default fitting in cache."""
-        values = self._signals(q, dq, ddq, signals, True)
-        return BaseBlocks(self._evaluation("base_regressor"), values, size)
+        """See `base_regressor`; in blocks of ``size`` samples, by default fitting in cache.
+
+        ``part`` is the whole, or the columns of link parameters or of effects.
+        """
+        values = self._samples(q=q, dq=dq, ddq=ddq)
+        if part != "base_links":
+            values = self._signals(q, dq, ddq, signals, True)
+        return BaseBlocks(self._evaluation(part), values, size)
 
     def effect_columns(
         self,
@@ -311,7 +322,8 @@ class Compiled:
         n = self.n
         if name in _PARTS:
             kept = self.model.base.kept
-            return (0, int(np.sum(kept < 10 * n))), (n, len(kept))
+            first = {"base_regressor": 0, "base_effects": int(np.sum(kept < 10 * n))}
+            return tuple(first[part] for part in _PARTS[name]), (n, len(kept))
         shapes = {
             "regressor": (n, 10 * n), "effect_columns": (n, len(self.model.columns)),
             "mass_matrix": (n, n), "jacobian": (6, n),

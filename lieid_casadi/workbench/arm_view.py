@@ -11,7 +11,15 @@ from nicegui.elements.scene.scene_object3d import Object3D
 from nicegui.events import SceneClickEventArguments, ValueChangeEventArguments
 
 from lieid_casadi.workbench.arm import ArmMesh, ArmMotion
-from lieid_casadi.workbench.elements import SCALE, View, icon_button, named, ratio, ratio_colour
+from lieid_casadi.workbench.elements import (
+    SCALE,
+    View,
+    call,
+    icon_button,
+    named,
+    ratio,
+    ratio_colour,
+)
 from lieid_casadi.workbench.workbench import Workbench
 
 FRAME = 0.1  # s between poses of the replay
@@ -42,6 +50,7 @@ class ArmScene:
             on_click=self._hit,
         )  # fmt: skip
         named(self._scene, "arm-view").classes("arm-view")
+        call("drawChanges", self._scene)
         with ui.row().classes("w-full items-center gap-2 no-wrap"):
             self._play = icon_button("play_arrow", "play", "replay the motion")
             self._play.on_click(lambda: self.play(not self._timer.active))

@@ -125,8 +125,9 @@ class Computation:
             return self._evaluation(step, self.fit(step, report))
         fits = self._quick_fits(step, share, report)
         exact = len(fits) == 1
-        made = [self._evaluation(step, f, exact=exact, complete=False, share=share) for f in fits]
-        return replace(made[0], errors=_larger(*(each.errors for each in made)))
+        made = self._evaluation(step, fits[0], exact=exact, complete=False, share=share)
+        others = (self._unseen_error(step, fit) for fit in fits[1:])
+        return replace(made, errors=_larger(made.errors, *others))
 
     def fit(self, step: ModelStep, report: Progress) -> Fit:
         """Return the exact fit of a step, with standard deviations."""
@@ -307,6 +308,12 @@ class Computation:
             processing=fit.processing,
         )
 
+    def _unseen_error(self, step: ModelStep, fit: Fit) -> Array:
+        """Return the RMS error in motion (n,) of a fit on the test or held-out rows, N·m."""
+        if not self.used(step)[1]:
+            return fit.rms_cv
+        return self._prepared("test", step, fit).compared(fit, with_noise=False).rms_moving
+
     def _keep(self, key: tuple[object, ...], value: Kept) -> Kept:
         """Keep and return a result; the oldest of its kind is dropped."""
         self._results[key] = value
@@ -316,9 +323,9 @@ class Computation:
         return value
 
 
-def _larger(errors: StepErrors, *others: StepErrors) -> StepErrors:
+def _larger(errors: StepErrors, *others: Array) -> StepErrors:
     """Return errors with the largest one of each joint."""
-    every = np.array([e.shown for e in (errors, *others)], dtype=float)
+    every = np.array([errors.shown, *others], dtype=float)
     return replace(errors, shown=tuple(numbers_or_none(every.max(axis=0))))
 
 

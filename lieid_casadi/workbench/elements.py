@@ -171,6 +171,12 @@ def ratio_colour(multiple: float | None) -> str:
     return next(colour for most, colour in SCALE if multiple <= most)
 
 
+def call(function: str, element: Element, *arguments: object) -> None:
+    """Call a function of ``page.js`` for an element."""
+    words = [msgspec.json.encode(each).decode() for each in (element.id, *arguments)]
+    element.client.run_javascript(f"{function}({', '.join(words)})")
+
+
 class Chart:
     """A chart, drawn by ``page.js`` from data that are not properties of the page's element.
 
@@ -192,8 +198,7 @@ class Chart:
 
     def call(self, function: str, *arguments: object) -> None:
         """Call a function of ``page.js`` for this chart."""
-        words = [msgspec.json.encode(each).decode() for each in (self.element.id, *arguments)]
-        self.element.client.run_javascript(f"{function}({', '.join(words)})")
+        call(function, self.element, *arguments)
 
     def run(self, method: str, *arguments: Any) -> None:
         """Run a method of the chart in the browser."""

@@ -248,6 +248,27 @@ function emitClicks(id, event) {
   });
 }
 
+// Draw a scene when it has changed only, not at each look of its timer: without a graphics card that
+// would take the processor from the fit.
+function drawChanges(id) {
+  const { renderer, text_renderer: flat, text3d_renderer: deep } = getElement(id) ?? {};
+  if (!deep) { setTimeout(() => drawChanges(id), 20); return; }
+  const drawAll = renderer.render.bind(renderer);
+  let drawn = '';
+  renderer.render = (scene, camera) => {
+    const state = [renderer.domElement.width, renderer.domElement.height];
+    for (const root of [camera, scene]) {
+      root.traverse(({ id: number, visible, position, quaternion, material }) => state.push(
+        number, visible, ...position, ...quaternion, material?.color?.getHex()));
+    }
+    const now = state.map((x) => Number(x).toFixed(5)).join();  // the camera moves by rounding errors
+    if (now === drawn) return;
+    drawn = now;
+    drawAll(scene, camera);
+  };
+  flat.render = deep.render = () => {};  // texts, of which there are none
+}
+
 // Dragging on a chart selects.
 function startBrush(chart) {
   const brushOption = { brushType: 'lineX', brushMode: 'single' };

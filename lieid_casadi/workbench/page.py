@@ -127,7 +127,8 @@ class Toolbar(View):
         self._progress.set_visibility(activity is not None)
         self._timer.active = activity is not None
         self._save_fit.set_enabled(workbench.saving is None)
-        self._spinner.set_visibility(workbench.computing)
+        # of opening; while a model is fitted the last errors are grey, and moving pictures slow
+        self._spinner.set_visibility(workbench.computing and workbench.fitting is None)
 
     def _show_progress(self) -> Work | None:
         """Show the stage of long work and the time that is left, and return the work."""

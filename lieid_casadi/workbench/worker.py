@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
 import threading
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -79,6 +80,7 @@ class Worker:
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
         self._listening = False
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
 
     @property
     def busy(self) -> bool:
@@ -92,9 +94,11 @@ class Worker:
         context = multiprocessing.get_context("spawn")
         self._listening = False
         self._pipe, theirs = context.Pipe()
+        self._folder = tempfile.TemporaryDirectory(prefix="lieid-", ignore_cleanup_errors=True)
         self._process = context.Process(
-            target=_run, args=(theirs, self._setup), daemon=True, name="lieid workbench"
-        )
+            target=_run, args=(theirs, self._setup, self._folder.name), daemon=True,
+            name="lieid workbench",
+        )  # fmt: skip
         self._process.start()
         theirs.close()
 
@@ -125,9 +129,11 @@ class Worker:
         return await waiting.result
 
     def stop(self) -> None:
-        """End the process; its requests raise `WorkerStopped`."""
-        if self._process is not None:
+        """End the process, and delete its files; its requests raise `WorkerStopped`."""
+        if self._process is not None and self._folder is not None:
             self._process.kill()
+            self._process.join(0.5)  # its memory takes a moment
+            self._folder.cleanup()
         self._process = None
         self._fail(WorkerStopped("stopped"))
 
@@ -172,8 +178,12 @@ class Worker:
             self._fail(WorkerError(text))
 
 
-def _run(pipe: Connection, setup: WorkerSetup) -> None:
-    """Answer requests until the pipe is closed or the parent process ends."""
+def _run(pipe: Connection, setup: WorkerSetup, folder: str) -> None:
+    """Answer requests until the pipe is closed or the parent process ends.
+
+    Temporary files are in ``folder``, which whoever ends this process at any time deletes.
+    """
+    tempfile.tempdir = folder
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     warnings.simplefilter("ignore")  # those of results are on the page

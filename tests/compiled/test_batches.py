@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.compiled import compile
+from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.compiled.compiler import available_targets
 from lieid_casadi.errors import CompilerError, ModelError
+from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.recording import process
 
 LANES = [target.lanes for target in available_targets()]
 MODEL = lieid.Model(lieid.robots.two_link(), effects="coulomb,viscous,offset,stribeck:2")
@@ -180,3 +182,40 @@ def test_blocks_are_the_base_regressor_joint_by_joint(lanes):
     assert [len(columns) for columns in blocks.columns] == np.any(whole, axis=0).sum(
         axis=1
     ).tolist()
+
+
+def test_the_blocks_of_links_and_effects_are_those_of_the_base_regressor():
+    model = panda()
+    arm, values = compile(model), motion(64, n=7)
+    signals = {"dead_zone": np.full(7, 0.2)}
+    joined = np.zeros((64, 7, model.base.count))
+    for name, is_link in (("base_links", True), ("base_effects", False)):
+        blocks = arm.base_blocks(*values, part=name, size=64, **signals)
+        joints = blocks.evaluate(0, 64, blocks.buffer())
+        for i, (columns, block) in enumerate(zip(blocks.columns, joints, strict=True)):
+            assert np.all((model.base.kept[columns] < 70) == is_link)
+            joined[:, i, columns] = block.T
+    np.testing.assert_array_equal(joined, arm.base_regressor(*values, **signals))
+
+
+def test_only_effects_are_evaluated_where_the_links_columns_are_known(monkeypatch):
+    robot, stores = lieid.robots.two_link(), [{}]
+    q, dq, ddq = motion(400)
+    recording = lieid.Recording.from_arrays(np.arange(400) * 0.01, q, dq, 0.0 * q, ddq=ddq)
+    segments = process(recording, lieid.Processing(cutoff=5.0, trim=0.1))
+    Design(compile(lieid.Model(robot, "coulomb")), segments, known=stores)
+    made = Compiled.base_blocks
+
+    def base_blocks(self, *args, part, **options):
+        blocks = made(self, *args, part=part, **options)
+        if part == "base_links":
+            monkeypatch.setattr(blocks, "evaluate", None)
+        return blocks
+
+    monkeypatch.setattr(Compiled, "base_blocks", base_blocks)
+    larger = compile(lieid.Model(robot, "coulomb,viscous"))
+    found = Design(larger, segments, known=stores).rows(np.zeros(0), None)
+    monkeypatch.undo()
+    whole = Design(larger, segments).rows(np.zeros(0), None)
+    for own, expected in zip(found.joints, whole.joints, strict=True):
+        np.testing.assert_array_equal(own.matrix, expected.matrix)

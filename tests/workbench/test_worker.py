@@ -5,6 +5,7 @@ import functools
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -12,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from lieid_casadi.workbench import computation
-from lieid_casadi.workbench.session import WorkbenchInputs, WorkerSetup
+from lieid_casadi.workbench.session import Session, WorkbenchInputs, WorkerSetup
+from lieid_casadi.workbench.workbench import Workbench
 from lieid_casadi.workbench.worker import NICE, Worker
 
 SECONDS = 60.0  # that the worker computes if nothing ends it
@@ -62,6 +64,53 @@ def test_a_worker_that_computes_ends_with_its_server(tmp_path):
     while state(worker) != "Z":
         assert time.monotonic() - killed < 0.5 * SECONDS
         time.sleep(0.05)
+
+
+class Export:
+    """In place of `Computation`: exports, the first kind without end."""
+
+    def __init__(self, setup, inputs):
+        self.inputs = inputs
+
+    def save(self, step, kind, report):
+        if kind == "urdf":
+            return "arm_urdf.zip", b"zip"
+        half = Path(tempfile.mkdtemp(prefix="lieid-")) / "controller.c"
+        half.write_text("int main(")
+        report(str(half), 0.8)
+        time.sleep(SECONDS)
+        return None
+
+
+def prepare_export():
+    computation.Computation = Export
+
+
+def test_an_export_that_is_stopped_leaves_no_files(tmp_path, monkeypatch):
+    """No traceback, nothing to save, and the next export is answered by another process."""
+    monkeypatch.setenv("LIEID_WORKBENCH_DIR", str(tmp_path / "sessions"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    failures = []
+
+    async def run():
+        asyncio.get_running_loop().set_exception_handler(lambda _, f: failures.append(f))
+        workbench = Workbench("0" * 16, WorkerSetup(prepare_export, robot=None, read=None))
+        workbench.session = Session().opened(WorkbenchInputs(), ["coulomb:1"])
+        saved = asyncio.create_task(workbench.save("c"))
+        while workbench.saving is None or workbench.saving.fraction == 0.0:
+            await asyncio.sleep(0.02)
+        half = Path(workbench.saving.stage)
+        assert half.is_file()
+        assert tmp_path in half.parents
+        workbench.stop()
+        assert await saved is None
+        assert (workbench.saving, workbench.error, list(tmp_path.rglob("*"))) == (None, "", [])
+        assert await workbench.save("urdf") == ("arm_urdf.zip", b"zip")
+        workbench.close()
+
+    asyncio.run(run())
+    assert failures == []
+    assert [f for f in tmp_path.rglob("*") if f.is_file()] == []
 
 
 class Priority:

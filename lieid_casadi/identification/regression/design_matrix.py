@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
+from lieid_casadi.compiled.batch_evaluation import BaseBlocks
+from lieid_casadi.compiled.compiled_model import Part
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
@@ -83,41 +85,46 @@ def motion_columns(
     All but structural zeros and the ``varying`` columns; those that are not ``known`` are added.
     """
     signals = effect_signals(segment, compiled.model.initial_shapes, None)
-    blocks = compiled.base_blocks(
-        segment.q,
-        segment.dq,
-        segment.ddq,
-        time=signals["time"],
-        temperature=signals.get("temperature"),
-        command_error=signals.get("command_error"),
-        dead_zone=signals["dead_zone"],
-        size=max([1, *(w.instants.stop - w.instants.start for w in segment.windows)]),
-    )
-    meanings, entry = _meanings(compiled.model), 0
-    keys: list[list[ColumnKey]] = []
-    missing: dict[ColumnKey, int] = {}
-    for j, columns in enumerate(blocks.columns):
-        keys.append([])
-        for k in columns:
+    meanings = _meanings(compiled.model)
+    keys: list[list[ColumnKey]] = [[] for _ in range(compiled.n)]
+    parts: tuple[Part, ...] = ("base_links", "base_effects")  # those of the links are often known
+    for part in parts:
+        blocks = compiled.base_blocks(
+            segment.q,
+            segment.dq,
+            segment.ddq,
+            part=part,
+            time=signals["time"],
+            temperature=signals.get("temperature"),
+            command_error=signals.get("command_error"),
+            dead_zone=signals["dead_zone"],
+            size=max([1, *(w.instants.stop - w.instants.start for w in segment.windows)]),
+        )
+        missing: dict[ColumnKey, int] = {}
+        places = ((j, k) for j, columns in enumerate(blocks.columns) for k in columns)
+        for entry, (j, k) in enumerate(places):
             if k not in varying:
-                keys[-1].append((j, meanings[k]))
-                if keys[-1][-1] not in known:
-                    missing[keys[-1][-1]] = entry
-            entry += 1
+                keys[j].append((j, meanings[k]))
+                if keys[j][-1] not in known:
+                    missing[keys[j][-1]] = entry
+        if missing:
+            values = _filtered(segment, blocks, [*missing.values()], compiled.threads)
+            known |= zip(missing, values, strict=True)
+    count = len(segment.filtered_time)
+    return [np.array([known[key] for key in own]).reshape(-1, count) for own in keys]
+
+
+def _filtered(segment: Processed, blocks: BaseBlocks, entries: list[int], threads: int) -> Array:
+    """Return filtered values (e, M) of the layout of blocks."""
 
     def evaluated(window: Window) -> Array:
         buffer = blocks.buffer()
         first, last = window.instants.start, window.instants.stop
         blocks.evaluate(first, last, buffer)
-        values = buffer[list(missing.values()), : last - first]
-        return segment.filter_window(values, window, axis=1)
+        return segment.filter_window(buffer[entries, : last - first], window, axis=1)
 
-    if missing:
-        with ThreadPoolExecutor(max(compiled.threads, 1)) as pool:
-            parts = list(pool.map(evaluated, segment.windows))
-        known |= zip(missing, np.concatenate(parts, axis=1), strict=True)
-    count = len(segment.filtered_time)
-    return [np.array([known[key] for key in own]).reshape(-1, count) for own in keys]
+    with ThreadPoolExecutor(max(threads, 1)) as pool:
+        return np.concatenate(list(pool.map(evaluated, segment.windows)), axis=1)
 
 
 def _meanings(model: Model) -> list[int | tuple[str, str]]:
