@@ -158,7 +158,9 @@ class _Loop:
         seconds = sum(recording.duration for recording in given)
         first = (Round(0, None, "", seconds, None, None),) if given else ()
         rounds = folder.rounds() or first
-        self.result = Experiment(design.model.robot.name, rounds, folder=folder.path)
+        self.result = Experiment(
+            design.model.robot.name, rounds, folder=folder.path, longest=design.longest
+        )
 
     def resume(self, load: Callable[[Path], Recording]) -> None:
         """Read the recordings of an earlier call."""

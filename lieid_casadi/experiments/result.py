@@ -53,11 +53,22 @@ class Experiment:
     stopped: Stopped | None = None
     reason: str = ""  #: one sentence
     folder: Path = Path()
+    longest: float = 20.0  #: length of a motion at most, s: that of a standard excitation
+
+    @property
+    def recordings(self) -> int:
+        """Number of recordings that were made."""
+        return sum(each.purpose is not None for each in self.rounds)
 
     @property
     def seconds(self) -> float:
         """Time of all motions that were recorded, s."""
         return sum(each.seconds for each in self.rounds if each.purpose is not None)
+
+    @property
+    def fixed_plan_seconds(self) -> float:
+        """Time of as many standard excitations, each of the greatest length, s."""
+        return self.recordings * self.longest
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of ``experiment.json``."""
@@ -66,6 +77,7 @@ class Experiment:
             "stopped": self.stopped,
             "reason": self.reason,
             "seconds": self.seconds,
+            "fixed_plan_seconds": self.fixed_plan_seconds,
             "rounds": [asdict(each) for each in self.rounds],
             "steps": [] if self.diagnosis is None else self.diagnosis.to_dict()["steps"],
             "sentences": [] if self.diagnosis is None else self.diagnosis.sentences,
@@ -75,11 +87,15 @@ class Experiment:
     def sentences(self) -> list[str]:
         """Why it ended, and what the last diagnosis found."""
         found = [] if self.diagnosis is None else self.diagnosis.sentences
-        count = sum(each.purpose is not None for each in self.rounds)
-        return [
-            f"{self.reason} {count} recording{'s' * (count != 1)}, {self.seconds:.3g} s of motion.",
-            *found,
-        ]
+        count, made = self.recordings, ""
+        if count:
+            plural = "s" * (count != 1)
+            made = (
+                f" {count} recording{plural}, {self.seconds:.3g} s of motion; a fixed plan of "
+                f"{count} standard excitation{plural} of {self.longest:g} s takes "
+                f"{self.fixed_plan_seconds:.3g} s."
+            )
+        return [self.reason + made, *found]
 
     def table(self) -> Table:
         """Return one row per round: purpose, open effects and errors."""

@@ -81,6 +81,11 @@ def test_folder_holds_every_round(done):
 def test_views(done):
     result, _ = done
     page = experiment_report(result)
+    plan = "8 s of motion; a fixed plan of 1 standard excitation of 13 s takes 13 s."
+    assert plan in page
+    assert plan in result.sentences[0]
+    assert result.to_dict()["fixed_plan_seconds"] == 13.0
+    assert replace(result, rounds=result.rounds[:1]).sentences[0] == result.reason
     assert "stribeck:1 or viscous_polynomial:1" in page
     assert "surroundings other than the stated ones" in page
     assert result.plot().axes[0].get_xlabel() == "round"
