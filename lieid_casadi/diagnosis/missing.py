@@ -82,6 +82,7 @@ class MissingEffects:
         self.segments = segments
         self.known = tuple(FilteredColumns() for _ in segments)
         self.rejected: dict[str, str] = {}
+        self.undecided: dict[str, float] = {}  # of those, the gains in standard errors
         self.refused: set[str] = set()  # their fitted values are implausible
         self.differing: list[Difference] = []
         self.apart: list[list[Array]] = []  # columns of what differs between the recordings
@@ -127,6 +128,7 @@ class MissingEffects:
             unexplained=parts,
             differing=tuple(self.differing),
             rejected=tuple(self.rejected.items()),
+            undecided=tuple((k, d) for k, d in self.undecided.items() if k in self.rejected),
             noise_floor=shown.noise_floor,
             noise_source=shown.noise_source,
             baseline_effects=tuple(first.model.effects),
@@ -273,6 +275,9 @@ class MissingEffects:
             label = candidate.label
             others = {c.joint for c in sure if c.name == candidate.name} - {candidate.joint}
             reason = slot.reason(self.options, elsewhere=len(others))
+            self.undecided.pop(label, None)
+            if reason is not None and slot.fall >= self.options.worth and slot.deviations > 0.0:
+                self.undecided[label] = slot.deviations
             if reason is None and self.ask is not None and label not in have:
                 before, after = found.held_out_errors(slot)
                 if not self.ask(Proposal(label, slot.joint, before, after)):

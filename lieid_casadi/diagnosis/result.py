@@ -59,6 +59,9 @@ class Diagnosis:
     differing : tuple of Difference
     rejected : tuple of (str, str)
         Candidates that were selected and not added, and why.
+    undecided : tuple of (str, float)
+        Of these, candidates that would lower the held-out error by enough, and their mean gain in
+        its standard errors, which are too few: more data would decide.
     noise_floor : (n,)
         N·m, of the test, or of the training recordings without one.
     noise_source : str
@@ -107,6 +110,7 @@ class Diagnosis:
     events: tuple[Event, ...] = ()
     seed: int = 0
     motion: MotionGain | None = None
+    undecided: tuple[tuple[str, float], ...] = ()
 
     @property
     def shown(self) -> tuple[str, list[Array]]:

@@ -58,8 +58,9 @@ def experiment(
     Each round diagnoses all recordings so far (`diagnose`) and designs the motion that answers
     what is still open: an optimal excitation as long as no recording shows every joint in fast
     motion; then the motion that separates effects which fit equally well (`discriminate`); then
-    motions for errors that no effect describes, and for effects of uncertain size. Every motion
-    begins with the same short probe, whose torque shows whether the arm has changed.
+    motions for errors that no effect describes, and for effects whose gain on held-out parts is
+    not certain. Every motion begins with the same short probe, whose torque shows whether the arm
+    has changed.
 
     **The robot moves.** Limits are checked as by `excite`; what was not checked is in
     ``unchecked`` of each motion, and ``confirm`` lets a person decide.
@@ -175,14 +176,8 @@ class _Loop:
 
     @property
     def recordings(self) -> list[Recording]:
-        """The recordings that are diagnosed.
-
-        Given ones are left out as soon as an excitation, which shows more, was recorded: an effect
-        that they cannot show would count as a difference between the recordings.
-        """
-        own = [recording for recording, _ in self.recorded]
-        excited = any(p.kind == "excitation" for r in self.result.rounds if (p := r.purpose))
-        return own if excited else [*self.given, *own]
+        """The recordings that are diagnosed: given ones and those that were made."""
+        return [*self.given, *(recording for recording, _ in self.recorded)]
 
     @property
     def fit(self) -> Fit | None:
@@ -218,8 +213,11 @@ class _Loop:
         """Return the next motion; None if the experiment ends here."""
         diagnosis, reasons = self.result.diagnosis, list[str]()
         asked = [each.purpose for each in self.result.rounds if each.purpose is not None]
-        needs = purposes(diagnosis, [*asked, *self.unnecessary])
         left, number = most - len(asked), len(asked) + 1
+        needs = purposes(
+            diagnosis, [*asked, *self.unnecessary],
+            recorded=sum(r.duration for r in self.recordings), left=left * self.design.seconds,
+        )  # fmt: skip
         if needs and left < 1:
             reason = f"{most} recordings were made, as many as were allowed."
             self.keep(stopped="most", reason=reason)

@@ -147,7 +147,9 @@ class MotionDesign:
             fit = identify(self.model, recordings)  # shapes cannot be extrapolated
             main, promise = self._ranging(purpose, number, fit, progress)
         else:
-            main, promise, worth = self._informative(found, recordings, number, progress)
+            main, promise, worth = self._informative(
+                found, recordings, purpose.seconds, number, progress
+            )
             if purpose.kind == "excitation" and worth < WORTH:
                 return None
             fit = self.fit
@@ -160,20 +162,28 @@ class MotionDesign:
         )  # fmt: skip
 
     def _informative(
-        self, found: Fit | None, recordings: Sequence[Recording], number: int, progress: Progress
+        self,
+        found: Fit | None,
+        recordings: Sequence[Recording],
+        needed: float,
+        number: int,
+        progress: Progress,
     ) -> tuple[MotionSamples, str, float]:
         """Return the excitation that is expected to show most per second, and its `precision_gain`.
 
         The gain is that over the recordings, second by second. A long motion and short ones are
-        compared; without a recording it is the long one. Recordings of little motion cannot bound
-        the torque of larger motion: ``found`` is not used for the limits.
+        compared, those of at least ``needed`` seconds if there are any; without a recording it is
+        the long one. Recordings of little motion cannot bound the torque of larger motion:
+        ``found`` is not used for the limits.
         """
         if found is None:
             return *self._exciting(self.fit, number, progress), np.inf
         before = information(found, [s for r in recordings for s in process(r, found.processing)])
         known, probe = sum(r.duration for r in recordings) * before, float(self.probe.t[-1])
         best, most = None, -np.inf
-        designs = self._of_each_length(partial(self._exciting, self.fit, number, progress))
+        designs = self._of_each_length(
+            partial(self._exciting, self.fit, number, progress), least=needed
+        )
         for main, text in designs:
             rate, seconds = information(found, [main]), float(main.t[-1])
             per_second = precision_gain(known, known + seconds * rate) / (probe + seconds)
@@ -182,11 +192,11 @@ class MotionDesign:
         assert best is not None
         return best
 
-    def _of_each_length(self, design: Callable[..., T]) -> list[T]:
+    def _of_each_length(self, design: Callable[..., T], *, least: float = 0.0) -> list[T]:
         """Return the designs of a long motion and short ones, as far as there are any."""
         found, reasons = list[T](), list[str]()
         for seconds in (self.seconds / parts for parts in PARTS):
-            if seconds >= min(LEAST_SECONDS, self.seconds):
+            if seconds >= min(max(LEAST_SECONDS, least), self.seconds):
                 try:
                     found.append(design(duration=seconds))
                 except NoSolution as failure:

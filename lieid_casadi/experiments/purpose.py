@@ -9,13 +9,13 @@ from typing import Literal
 
 from lieid_casadi.diagnosis import Diagnosis
 from lieid_casadi.diagnosis.findings import difference_sentence
+from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.step import Step
 
 Group = tuple[str, ...]
-Kind = Literal["excitation", "rivals", "range", "parameters"]
+Kind = Literal["excitation", "rivals", "range", "evidence"]
 
-UNCERTAIN = 0.5  # standard deviation of every coefficient of an effect, relative to its value
-TRIES = {"rivals": 2, "range": 1, "parameters": 1}  # motions for one open question at most
+TRIES = {"rivals": 2, "range": 1, "evidence": 1}  # motions for one open question at most
 MOST_RIVALS = 4  # of one effect that a motion separates from it, nearest first
 
 
@@ -24,8 +24,8 @@ class Purpose:
     """What a motion is for.
 
     The kind is ``excitation`` (all parameters), ``rivals`` (to separate the effects of each group),
-    ``range`` (of ``signals``, where no effect describes the error) or ``parameters`` (of effects
-    with uncertain coefficients, or that parts of the data do not show).
+    ``range`` (of ``signals``, where no effect describes the error) or ``evidence`` (for effects
+    that parts of the data do not show, or whose gain on held-out parts is not certain).
     """
 
     kind: Kind
@@ -33,12 +33,21 @@ class Purpose:
     groups: tuple[Group, ...] = ()
     signals: tuple[str, ...] = ()  # with ``range``: such as ``dq2``
     why: str = ""  # one sentence
+    seconds: float = 0.0  # with ``evidence``: of motion like that so far, which should decide
 
 
-def purposes(diagnosis: Diagnosis | None, asked: Sequence[Purpose]) -> list[Purpose]:
+def purposes(
+    diagnosis: Diagnosis | None,
+    asked: Sequence[Purpose],
+    *,
+    recorded: float = 0.0,
+    left: float = 0.0,
+) -> list[Purpose]:
     """Return what the next motion could be for, the most important first.
 
     A question is dropped after as many motions as `TRIES` states; ``asked`` are those so far.
+    ``recorded`` is the time of the recordings that were diagnosed, ``left`` that which can still be
+    recorded, s.
     """
     if diagnosis is None:
         return [Purpose("excitation", why="There is no recording yet.")]
@@ -60,25 +69,42 @@ def purposes(diagnosis: Diagnosis | None, asked: Sequence[Purpose]) -> list[Purp
         text = ", ".join(joint for (joint,) in groups)
         why = f"No effect of the library describes the error of {text} over {', '.join(signals)}."
         found.append(Purpose("range", groups, signals, why))
-    uncertain = [(step.label,) for step in diagnosis.steps if _is_uncertain(step)]
-    if groups := new("parameters", uncertain):
+    needed = {step.label: 0.0 for step in diagnosis.steps if _may_be_decided(step)}
+    needed |= {
+        label: seconds
+        for label, deviations in diagnosis.undecided
+        if (seconds := seconds_to_decide(deviations, recorded)) <= left
+    }
+    if groups := new("evidence", [(label,) for label in needed]):
         text = ", ".join(label for (label,) in groups)
         why = f"The recordings do not suffice to be certain of {text}."
-        found.append(Purpose("parameters", groups, why=why))
+        seconds = max(needed[label] for (label,) in groups)
+        found.append(Purpose("evidence", groups, why=why, seconds=seconds))
     return found
 
 
-def _is_uncertain(step: Step) -> bool:
-    """Whether an effect has an uncertain size, or further data of any motion may decide on it.
+def seconds_to_decide(deviations: float, recorded: float) -> float:
+    """Return the further time, s, after which the gain of an effect should be certain.
+
+    A mean gain in its standard errors grows with the root of the time.
+    """
+    return recorded * ((DiagnosisOptions().gain_deviations / deviations) ** 2 - 1.0)
+
+
+def _may_be_decided(step: Step) -> bool:
+    """Whether further data of any motion may decide on an effect.
 
     The motion that separates rivals has precedence: there may be none within the limits and the
     time that is left, for the worse of both ways round.
     """
-    if step.status == "shape":
-        return False
     if step.status == "one_of":
         return not step.rivals or any(rival.kind == "data" for rival in step.rivals)
-    return all(step.std[k] > UNCERTAIN * abs(v) for k, v in step.parameters.items())
+    return step.status == "shape" and not _is_established(step)
+
+
+def _is_established(step: Step) -> bool:
+    """Whether an effect is found whatever part of the data is left out."""
+    return step.evidence.selected_with_rivals == 1.0
 
 
 def open_groups(diagnosis: Diagnosis) -> list[Group]:
@@ -102,7 +128,8 @@ def separable_groups(diagnosis: Diagnosis) -> list[Group]:
 
 def undescribed(diagnosis: Diagnosis) -> dict[str, Group]:
     """Return the joints with an error that no effect describes: on which signals it depends."""
-    found = {f"joint {s.joint + 1}": s.depends_on for s in diagnosis.steps if s.status == "shape"}
+    shapes = [s for s in diagnosis.steps if s.status == "shape" and _is_established(s)]
+    found = {f"joint {s.joint + 1}": s.depends_on for s in shapes}
     for part in diagnosis.unexplained:
         found.setdefault(f"joint {part.joint + 1}", part.depends_on or (f"dq{part.joint + 1}",))
     return found

@@ -12,7 +12,7 @@ from experiments.arms import sines
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import Rival
+from lieid_casadi.diagnosis import DiagnosisOptions, Rival
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
@@ -257,6 +257,19 @@ def test_the_user_is_asked_before_another_form_takes_the_place_of_effects():
     assert labels
     assert not any("/exponent" in label for label in labels)
     assert not labels & {effect for effect, _ in diagnosis.rejected}
+
+
+def test_effects_whose_gain_is_not_certain_are_undecided():
+    """With a limit of 50 standard errors no gain of this recording is certain."""
+    options = DiagnosisOptions(gain_deviations=50.0)
+    diagnosis = lieid.diagnose(MODEL, sines(stribeck_arm()), options=options)
+    assert diagnosis.steps == ()
+    deviations = dict(diagnosis.undecided)["stribeck:1"]
+    reason = dict(diagnosis.rejected)["stribeck:1"]
+    assert (
+        reason
+        == f"the gain on held-out parts is {deviations:.1f} of its standard errors (limit 50)"
+    )
 
 
 def test_a_smooth_function_leaves_gravity_to_the_links():

@@ -36,6 +36,7 @@ def test_names_the_hidden_effect(done):
     assert before.open == (("stribeck:1", "viscous_polynomial:1"),)
     assert result.stopped == "all_named"
     assert after.named == ("stribeck:1",)
+    assert len(result.diagnosis.train) == 2  # the given recording stays
     hidden = arm().effects[0]
     (step,) = result.diagnosis.steps
     assert step.parameters["f_s-f_c"] == pytest.approx(hidden.extra, rel=0.1)
@@ -167,14 +168,14 @@ def ambiguous(given):
     step = next(step for step in found.steps if step.label == "stribeck:1")
     rival = Rival("viscous_polynomial:1", "viscous_polynomial", (0,), "data")
     only = replace(step, status="one_of", rivals=(rival,))
-    return replace(found, steps=(only,), unexplained=())
+    return replace(found, steps=(only,), unexplained=(), undecided=())
 
 
 def test_purposes(ambiguous):
     groups = (("stribeck:1", "viscous_polynomial:1"),)
     excitation, rivals, further = purposes(ambiguous, [])
     assert (excitation.kind, rivals.kind, rivals.groups) == ("excitation", "rivals", groups)
-    assert (further.kind, further.groups) == ("parameters", (("stribeck:1",),))  # without a motion
+    assert (further.kind, further.groups) == ("evidence", (("stribeck:1",),))  # without a motion
     assert purposes(ambiguous, [excitation]) == [rivals, further]
     # two motions did not decide, nor did a further excitation
     assert purposes(ambiguous, [excitation, rivals, rivals, further]) == []
@@ -186,7 +187,7 @@ def test_purposes(ambiguous):
     assert open_groups(exact) == [("stribeck:1", "armature:1")]
     assert remaining(exact) == ["No data can separate stribeck:1 from armature:1."]
     alone = replace(ambiguous, steps=(replace(step, rivals=()),))  # not found in all parts
-    assert [p.kind for p in purposes(alone, [excitation])] == ["parameters"]
+    assert [p.kind for p in purposes(alone, [excitation])] == ["evidence"]
     assert remaining(alone) == [f"{step.label}: not found without every part of the recordings."]
     apart = Difference("offset:1", "offset", (0,), "b", {"f_b": 1.0}, {"f_b": "N·m"}, True)
     assert len(remaining(replace(ambiguous, steps=(), differing=(apart,)))) == 1
@@ -194,6 +195,10 @@ def test_purposes(ambiguous):
     unknown = replace(ambiguous, steps=(shape,))
     (wider,) = purposes(unknown, [excitation])
     assert (wider.kind, wider.groups, wider.signals) == ("range", (("joint 1",),), ("dq1",))
+    # a part of the data does not show the shape: it is not certain that no effect describes it
+    doubtful = replace(shape, evidence=replace(step.evidence, selected_with_rivals=0.9))
+    (further,) = purposes(replace(ambiguous, steps=(doubtful,)), [excitation])
+    assert (further.kind, further.groups) == ("evidence", (("smooth/dq:1",),))
 
 
 @pytest.fixture(scope="module")
@@ -201,6 +206,17 @@ def design():
     model = lieid.Model(ROBOT, "coulomb,viscous,offset")
     made = MotionDesign(model, None, lieid.default_limits(ROBOT), None, 0.8, 19.0, 200.0, 0)
     return replace(made, probe=made.probe_motion(2.0, None))
+
+
+def test_an_effect_that_the_held_out_parts_do_not_decide_is_open(ambiguous):
+    """The gain of 10 s is 1.6 of its standard errors: 15.6 s should show two of them."""
+    near = replace(ambiguous, steps=(), undecided=(("torque_lowpass:1", 1.6),))
+    excitation = Purpose("excitation")
+    (need,) = purposes(near, [excitation], recorded=10.0, left=6.0)
+    assert (need.kind, need.groups) == ("evidence", (("torque_lowpass:1",),))
+    assert need.seconds == pytest.approx(5.625)
+    assert purposes(near, [excitation], recorded=10.0, left=5.0) == []  # not in the time left
+    assert purposes(near, [excitation, need], recorded=10.0, left=6.0) == []
 
 
 def planned(design, purpose, fit, recordings, folder):
@@ -220,7 +236,7 @@ def test_one_length_without_a_motion_leaves_the_others(
         return lieid.excite(*arguments, duration=duration, max_iterations=20, **options)
 
     monkeypatch.setattr(motion, "excite", short_ones)
-    purpose = Purpose("parameters", (("stribeck:1",),))
+    purpose = Purpose("evidence", (("stribeck:1",),))
     made = planned(design, purpose, ambiguous.fit, [given], tmp_path)
     lengths = np.array([17.0 / 2, 17.0 / 3])
     assert np.isclose(made.duration - made.probe, lengths, atol=0.01).any()
