@@ -164,22 +164,17 @@ def _described(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date)
     if own is None and not named and coefficients:
         first = coefficients[0]  # unless the residual of its joint is not explained
         own = None if (UNEXPLAINED, first.quantity.joint) in arm.found[-1] else first
-    fields = (
+    alarm = (
         _of_coefficient(arm, own, since) if own is not None
-        else _of_finding(named, since) if named
+        else _of_finding(arm, named, since) if named
         else _of_error(arm, changed, since)
     )  # fmt: skip
-    quantity, joint = fields["quantity"], fields["joint"]
-    own_findings = named.get((quantity, joint), [])
-    fields["rivals"] = rivals = (own_findings[-1].rivals or "") if own_findings else ""
-    fields["sentence"] += f"; fits as well: {rivals}" if rivals else ""
-    others = [label_of(e, j) for e, j in named if (e, j) != (quantity, joint)]
-    if others:
-        fields["sentence"] += f"; also found: {', '.join(others[:3])}"
-    last, severity = arm.dates[-1], float(np.median(arm.shares[-SEVERITY_NIGHTS:]))
-    return Alarm(
-        serial=arm.serial, since=since, last=last, raised=last, severity=severity, **fields
-    )  # fmt: skip
+    key, text = (alarm.quantity, alarm.joint), alarm.sentence
+    rivals = (named[key][-1].rivals or "") if key in named else ""
+    text += f"; fits as well: {rivals}" if rivals else ""
+    others = [label_of(*other) for other in named if other != key]
+    text += f"; also found: {', '.join(others[:3])}" if others else ""
+    return replace(alarm, rivals=rivals, sentence=text)
 
 
 #: Effects and joints (from 1; None: the whole arm) with what the nights have found.
@@ -201,8 +196,8 @@ def _named(arm: ArmHistory, since: date) -> Named:
     return {key: found[key] for key in sorted(found, key=lambda k: (-size[k], k[0], k[1] or 0))}
 
 
-def _of_finding(named: Named, since: date) -> dict[str, Any]:
-    """Return the fields of the alarm that is named after the largest effect."""
+def _of_finding(arm: ArmHistory, named: Named, since: date) -> Alarm:
+    """Return the alarm that is named after the largest effect."""
     (effect, joint), own = next(iter(named.items()))
     changes = [f.change for f in own]
     change, unit = float(np.median(changes)), own[-1].unit
@@ -212,32 +207,33 @@ def _of_finding(named: Named, since: date) -> dict[str, Any]:
         std = max(std or 0.0, float(np.std(changes, ddof=1)) / float(np.sqrt(len(changes))))
     where = f"joint {joint}" if joint else "the arm"
     text = f"{effect} of {where} since {since}: {_amount(change, std, unit)}"
-    return _fields(effect, joint, change, std, unit, text)
+    return _alarm(arm, since, (effect, joint), change, std, unit, text)
 
 
-def _of_coefficient(arm: ArmHistory, item: ChangedQuantity, since: date) -> dict[str, Any]:
-    """Return the fields of the alarm about a coefficient, with slope and limit of a drift."""
+def _of_coefficient(arm: ArmHistory, item: ChangedQuantity, since: date) -> Alarm:
+    """Return the alarm about a coefficient, with slope and limit of a drift."""
     change, quantity = item.change, item.quantity
     unit, now = arm.units[quantity], change.level + change.size
     text = (
         f"{quantity.name} of joint {quantity.joint} since {since}: "
         f"{_amount(change.size, change.std, unit)}, from {change.level:.4g} to {now:.4g} {unit}"
     )
-    drift: dict[str, Any] = {}
-    if change.kind == "drift":
-        drift = {name: getattr(change, name) for name in ("slope", "slope_low", "slope_high")}
-        dates = _limit_dates(arm, item)
-        drift |= zip(("limit_date", "limit_early", "limit_late"), dates, strict=True)
-        text += (
-            f"; drift of {change.slope_low:.3g} to {change.slope_high:.3g} {unit} per day (95 %)"
-        )
-        if dates[0] is not None:
-            text += f"; reaches its limit on {dates[0]} ({dates[1]} to {dates[2] or 'later'})"
-    return drift | _fields(quantity.effect, quantity.joint, change.size, change.std, unit, text)
+    key = quantity.effect, quantity.joint
+    alarm = _alarm(arm, since, key, change.size, change.std, unit, text)
+    if change.kind != "drift":
+        return alarm
+    limit, early, late = _limit_dates(arm, item)
+    text += f"; drift of {change.slope_low:.3g} to {change.slope_high:.3g} {unit} per day (95 %)"
+    if limit is not None:
+        text += f"; reaches its limit on {limit} ({early} to {late or 'later'})"
+    return replace(
+        alarm, sentence=text, slope=change.slope, slope_low=change.slope_low,
+        slope_high=change.slope_high, limit_date=limit, limit_early=early, limit_late=late,
+    )  # fmt: skip
 
 
-def _of_error(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date) -> dict[str, Any]:
-    """Return the fields of the alarm about errors that no effect of the library explains."""
+def _of_error(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date) -> Alarm:
+    """Return the alarm about errors that no effect of the library explains."""
     item = next((c for c in changed if c.quantity.name == ERROR), changed[0])
     joint, factor = item.quantity.joint, float(np.exp(item.change.size))
     text = f"error of joint {joint} since {since}: {factor:.3g} times as large as before"
@@ -245,16 +241,25 @@ def _of_error(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date) 
     if unexplained is not None:
         text += f"; not explained by one effect: {unexplained.sentence}"
     quantity = ERROR if unexplained is None else UNEXPLAINED
-    return _fields(quantity, joint, factor - 1.0, factor * item.change.std, "1", text)
+    size = factor - 1.0, factor * item.change.std
+    return _alarm(arm, since, (quantity, joint), *size, "1", text)
 
 
-def _fields(
-    quantity: str, joint: int | None, change: float, std: float | None, unit: str, text: str
-) -> dict[str, Any]:
-    return {
-        "quantity": quantity, "joint": joint, "change": change, "std": std, "unit": unit,
-        "sentence": text,
-    }  # fmt: skip
+def _alarm(
+    arm: ArmHistory,
+    since: date,
+    key: tuple[str, int | None],
+    change: float,
+    std: float | None,
+    unit: str,
+    text: str,
+) -> Alarm:
+    """Return the alarm of an arm about an effect or quantity of a joint, raised this night."""
+    quantity, joint = key
+    last, severity = arm.dates[-1], float(np.median(arm.shares[-SEVERITY_NIGHTS:]))
+    return Alarm(
+        arm.serial, joint, quantity, since, last, change, std, unit, text, last, severity=severity
+    )
 
 
 def _limit_dates(arm: ArmHistory, item: ChangedQuantity) -> list[date | None]:
@@ -369,12 +374,7 @@ def alarms_to_report(history: History, *, horizon: int = 0) -> list[Alarm]:
 
 def evidence(history: History, alarm: Alarm) -> dict[str, Any]:
     """Return an alarm for JSON, with what to do, the latest recording and a command to see it."""
-    rows = history.rows(
-        "SELECT r.recording, a.fit FROM runs r JOIN arms a USING (serial, fit_sha256) "
-        "WHERE serial = ? AND status = 'done' ORDER BY date DESC, started DESC LIMIT 1",
-        [alarm.serial],
-    )
-    recording, fit = rows[0] if rows else (None, None)
+    recording, _, fit = next(iter(_latest_recordings(history, alarm)), (None, None, None))
     command = shlex.join(["lieid", "workbench", fit, recording]) if recording and fit else None
     fields = {k: v.isoformat() if isinstance(v, date) else v for k, v in vars(alarm).items()}
     fields["rivals"] = alarm.rivals.split(", ") if alarm.rivals else []
@@ -383,11 +383,7 @@ def evidence(history: History, alarm: Alarm) -> dict[str, Any]:
 
 def identify_again(history: History, alarm: Alarm) -> str:
     """Return what to do with an arm that differs from its fit since an alarm: identify it again."""
-    rows = history.rows(
-        "SELECT DISTINCT recording, date, a.fit FROM runs r JOIN arms a USING (serial, fit_sha256) "
-        "WHERE serial = ? AND date >= ? AND status = 'done' ORDER BY date DESC, recording LIMIT 5",
-        [alarm.serial, alarm.since],
-    )
+    rows = _latest_recordings(history, alarm)
     recordings = shlex.join(recording for recording, *_ in rows)
     old, first = rows[0][2] if rows else "", alarm.last + timedelta(days=1)
     new = f"{alarm.serial}-{first}.json"
@@ -395,6 +391,15 @@ def identify_again(history: History, alarm: Alarm) -> str:
         f"identify the arm again: lieid identify ROBOT {recordings} -o {new}, and in the fleet "
         f"file fit: [{{path: {old}}}, {{path: {new}, from: {first}}}]. With the old fit another "
         "motion can look like a change."
+    )
+
+
+def _latest_recordings(history: History, alarm: Alarm) -> list[tuple[Any, ...]]:
+    """Return the latest recordings since an alarm's beginning, with their dates and the fit."""
+    return history.rows(
+        "SELECT DISTINCT recording, date, a.fit FROM runs r JOIN arms a USING (serial, fit_sha256) "
+        "WHERE serial = ? AND date >= ? AND status = 'done' ORDER BY date DESC, recording LIMIT 5",
+        [alarm.serial, alarm.since],
     )
 
 

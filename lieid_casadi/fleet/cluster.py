@@ -92,7 +92,7 @@ def worker_version() -> str:
 
 def require_same_version(versions: Mapping[str, str]) -> None:
     """Refuse workers (address → version) whose results may differ from those of this version."""
-    others = [f"{worker} has {v}" for worker, v in versions.items() if not _is_same_version(v)]
+    others = [f"{w} has {v}" for w, v in versions.items() if not _is_same(v, __version__)]
     if others:
         raise FleetError(
             f"workers of another version of lieid-casadi: {', '.join(others[:3])}"
@@ -100,9 +100,9 @@ def require_same_version(versions: Mapping[str, str]) -> None:
         )
 
 
-def _is_same_version(version: str) -> bool:
-    """Whether a version differs from this one by fixes at most."""
-    return version.split(".")[:2] == __version__.split(".")[:2]
+def _is_same(version: str, other: str) -> bool:
+    """Whether two versions differ by fixes at most."""
+    return version.split(".")[:2] == other.split(".")[:2]
 
 
 def run_arm_nights(nights: Sequence[ArmNight], fits: Mapping[str, bytes], expected: str) -> Batch:
@@ -116,7 +116,7 @@ def run_arm_nights(nights: Sequence[ArmNight], fits: Mapping[str, bytes], expect
             result = run_arm_night(night, fits[night.fit_sha256])
         except Exception as error:  # noqa: BLE001
             result = NightResult("failed", f"{type(error).__name__}: {reason_of(error)}")
-        if result.version.split(".")[:2] != expected.split(".")[:2]:
+        if not _is_same(result.version, expected):
             reason = f"worker with version {result.version}; expected {expected} as on the client"
             result = NightResult("failed", reason, version=result.version)
         results.append(result)

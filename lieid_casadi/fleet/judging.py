@@ -323,9 +323,6 @@ def outlier_table(found: Sequence[Outlier]) -> Table:
     return make_table(
         "Arms unlike the others of their kind",
         ("serial", "robot", "coefficient", "joint", "value", "median", "spread", "unit", "arms"),
-        [
-            (x.serial, x.robot, x.name, x.joint, x.value, x.median, x.spread, x.unit, x.arms)
-            for x in found
-        ],
+        [tuple(vars(x).values()) for x in found],
         note="On the latest night of each arm. Spread: robust standard deviation over the arms.",
     )
