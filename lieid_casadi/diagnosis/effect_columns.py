@@ -61,7 +61,7 @@ class SegmentSignals:
         arm = replace(arm, unknown_at_rest=model_fixed)
         load = arm.load
         shape = segment.q.shape
-        temperature, error = segment.temperature, segment.command_error
+        temperature, error = segment.temperature, arm.late_error
         time = np.broadcast_to((segment.t - segment.t[0])[:, None], shape)
         return cls(
             segment,

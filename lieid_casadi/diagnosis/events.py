@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.diagnosis.transients import Event, transient_events
 from lieid_casadi.effects.backlash import Backlash
+from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.errors import HeldJointWarning, IdentificationError, RecordingError
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
@@ -125,19 +126,22 @@ def with_brief_effects(
     """Return a fit whose transient errors are not those of effects that act for short times.
 
     The link of a joint with backlash hits the side of its play whenever its load changes its sign.
-    That is not a contact to be left out: it is what shows the play. If a fit of a drive under
-    position control has transient errors, they are therefore judged with backlash on every joint.
+    That is not a contact to be left out: it is what shows the play. A drive whose torque is limited
+    below its law has such errors at each fast command. If a fit of a drive under position control
+    has transient errors, they are therefore judged with limits, and with backlash on every joint.
     """
     drives = fit.model.robot.drives
     if drives is None or not all(is_torque_of_laws(r, drives) for r in recordings):
         return fit
-    if not any(e.kind == "contact" for e in transient_events(fit, recordings)):
-        return fit
-    model = fit.model.with_effect(Backlash.name)
-    try:
-        return identify(model, recordings, method=method, processing=fit.processing)
-    except IdentificationError:
-        return fit
+    for effect in (TorqueSaturation.name, Backlash.name):
+        if not transient_events(fit, recordings):
+            return fit
+        try:
+            model = fit.model.with_effect(effect)
+            fit = identify(model, recordings, method=method, processing=fit.processing)
+        except IdentificationError:
+            continue
+    return fit
 
 
 def held_joints(fit: Fit, recordings: Sequence[Recording]) -> list[HeldJointWarning]:

@@ -34,6 +34,7 @@ from lieid_casadi.diagnosis.steps import (
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.placement import place
 from lieid_casadi.effects.registry import usable
+from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.errors import (
     LieidError,
     NoSolution,
@@ -88,6 +89,7 @@ class MissingEffects:
         self.apart: list[list[Array]] = []  # columns of what differs between the recordings
         self.unseen: UnseenMotion | None = None
         self.gains: dict[str, MotionGain] = {}  # of the final fit's effects
+        self.fits: dict[frozenset[str], Fit] = {}  # by the effects that are added
 
     def diagnosis(self, seed: int) -> Diagnosis:
         """Return the diagnosis."""
@@ -155,8 +157,18 @@ class MissingEffects:
         )
 
     def _searched(self, rows: Rows) -> tuple[Fit, list[Accepted], Round]:
-        """Return the fit with all effects that are added, these effects, and the last round."""
+        """Return the fit with all effects that are added, these effects, and the last round.
+
+        Limits of drives come first: where a drive delivers less than its law states, all of the
+        torque that the law states in addition looks like effects of the arm.
+        """
         accepted, rounds = list[Accepted](), 0
+        others = [c.label for c in rows.columns.owners if c.name != TorqueSaturation.name]
+        if len(others) < len(rows.columns.owners):
+            found = search(rows, self.options, refused=others, smooth=False)
+            fit, accepted = self._plausible(self._accepted(found, accepted))
+            if accepted:
+                rows = Rows.of(fit, self.segments, known=self.known, before=rows)
         while True:
             self.report(_stage(accepted), 0.1 + 0.7 * rounds / (rounds + ROUNDS))
             found = search(rows, self.options, refused=self.refused)
@@ -361,6 +373,12 @@ class MissingEffects:
         """Return the fit of the first model with further effects, as `identify` fits it."""
         if not added:
             return self.first
+        key = frozenset(a.placement.label for a in added)
+        if key not in self.fits:
+            self.fits[key] = self._new_fit(added)
+        return self.fits[key]
+
+    def _new_fit(self, added: Sequence[Accepted]) -> Fit:
         own = self.first.model
         placements = [*own.placements, *(a.placement for a in added)]
         effects = Model.of_placements(own.robot, placements).effects

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate, list_candidates
@@ -176,18 +175,10 @@ class Rows:
 
     @cached_property
     def away_from_reversals(self) -> tuple[NDArray[np.bool_], ...]:
-        """Whether the low-pass filter does not reach a reversal or rest of its joint, of each row.
-
-        There neither the instant at which dry friction reverses nor its value at rest counts.
-        """
-        parts = []
-        for s in self.segments:
-            turned = ~s.moving
-            turned[1:] |= np.sign(s.dq[1:]) != np.sign(s.dq[:-1])
-            reach = 2 * round(REACH * s.rate / s.cutoff) + 1
-            parts.append(maximum_filter1d(turned, reach, axis=0)[s.kept])
-        turned = np.concatenate(parts)
-        return tuple(~turned[run.all, j] for j, run in enumerate(self.runs))
+        """Whether each row is farther than `REACH` from reversals and rests of its joint."""
+        parts = [s.away_from_reversals(REACH / s.cutoff) for s in self.segments]
+        away = np.concatenate(parts)
+        return tuple(away[run.all, j] for j, run in enumerate(self.runs))
 
     @cached_property
     def friction_at_rest(self) -> tuple[Array, ...]:

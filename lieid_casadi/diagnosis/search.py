@@ -79,12 +79,14 @@ def search(
     prior: Array | None = None,
     noise: Sequence[Noise] | None = None,
     joints: NDArray[np.bool_] | None = None,
+    smooth: bool = True,
 ) -> Round:
     """Return the effects of a path on all rows, judged on held-out parts.
 
     ``refused`` are labels of candidates that are left out, ``prior`` (k, p) rows that state the
     uncertainty of a model that is kept, ``noise`` that of each joint (by default that of the
-    residual beside the path), ``joints`` (n,) those on which effects are searched for.
+    residual beside the path), ``joints`` (n,) those on which effects are searched for; ``smooth``
+    functions are among them.
     """
     wanted = [c for c in rows.columns.owners if _is_wanted(c, refused, joints)]
     rows = rows.with_candidates(wanted)
@@ -99,10 +101,12 @@ def search(
         refined = _refined(paths, whole, rows)
         rows = rows.with_candidates(refined)
         paths = Paths(*_weighted(rows, scale, prior), nothing)
-    rest = _residual_beside(paths, whole, rows, scale)
-    smooth = smooth_candidates(rows, [rest, _residual_beside(paths, (), rows, scale)], scale)
+    rests = [_residual_beside(paths, groups, rows, scale) for groups in (whole, ())]
+    functions = smooth_candidates(rows, rests, scale) if smooth else ()
     known = {
-        c.label: c for c in smooth if c.label not in refused and (joints is None or joints[c.joint])
+        c.label: c
+        for c in functions
+        if c.label not in refused and (joints is None or joints[c.joint])
     }
     rows = rows.with_candidates([*rows.columns.owners, *known.values()])
     if prior is None:

@@ -11,6 +11,7 @@ from lieid_casadi.effects.registry import register
 from lieid_casadi.robot.drive import Drive
 
 LEAST = 1e-3  # s; below it the column is the derivative, not the difference quotient
+PARTS = 4  # of a hold, in which a limited law has different torques
 BUS, BUS_SPREAD = 0.005, 0.02  # s, what bus and drive add to the hold of a command
 
 
@@ -72,6 +73,10 @@ class CommandDelay(ArmEffect):
         assert arm.drives is not None
         q, dq, law = arm.motion[0][:, joint], arm.motion[1][:, joint], arm.drives[joint]
         command, delay = arm.command[:, joint], max(float(values[0]), LEAST)
-        late = held_and_late(arm.t, command, delay, min(arm.hold, 2.0 * delay))
-        change = law.torque(command - q, dq) - law.torque(late - q, dq)
+        part = min(arm.hold, 2.0 * delay) / PARTS
+        late = [
+            law.torque(held_and_late(arm.t, command, delay + k * part, part) - q, dq)
+            for k in np.arange(PARTS) - 0.5 * (PARTS - 1)
+        ]
+        change = law.torque(command - q, dq) - np.mean(late, axis=0)
         return on_joint(change / delay, joint, arm.load.shape[1])

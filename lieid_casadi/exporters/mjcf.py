@@ -97,7 +97,8 @@ def notes_of(fit: Fit, friction: Sequence[LinearFriction], plays: Sequence[Play]
     if "armature" in names and robot.drives:
         notes.append(
             "armature is that of the fit less half of a time step × damping, which MuJoCo's "
-            "integration adds to the inertia; export again for another timestep or integrator"
+            "integration adds to the inertia, and delays are longer by half of a time step; "
+            "export again for another timestep or integrator"
         )
     if "command_delay" in names:
         notes.append(
@@ -133,14 +134,16 @@ def mjcf_text(fit: Fit, *, step: float = STEP) -> tuple[str, list[str]]:
     names = _unique([joint.link_name or f"{joint.name}_link" for joint in robot.joints])
     joints = _unique([joint.name for joint in robot.joints])
     plays = {play.joint: play.width for play in plays_of(fit)}
-    bodies = fit.link_parameters.reshape(-1, 10)
+    bodies, laws = fit.link_parameters.reshape(-1, 10), list[ActuatorLaw | None]()
     for j, joint in enumerate(robot.joints):
         place = np.asarray(np.linalg.solve(before, joint.home))
         _add_link(parent, place, j)
         parent = _add(parent, "body", name=names[j], **_pose(place))
         _add(parent, "inertial", **inertial(bodies[j]))
         law, passive = actuator_law(fit, j), passive_torques(fit, j, friction[j])
-        _add_joint(parent, joint, joints[j], for_steps(passive, law, step, INTEGRATOR))
+        passive, law = for_steps(passive, law, step, INTEGRATOR)
+        laws.append(law)
+        _add_joint(parent, joint, joints[j], passive)
         if j in plays:
             _add_play(parent, joint, f"{joints[j]}_play", plays[j])
         before = joint.home
@@ -148,7 +151,7 @@ def mjcf_text(fit: Fit, *, step: float = STEP) -> tuple[str, list[str]]:
     _add(parent, "site", name="tool", **_pose(robot.tool))
     actuators = _add(root, "actuator")
     for j, joint in enumerate(robot.joints):
-        _add_actuator(actuators, joint, joints[j], actuator_law(fit, j))
+        _add_actuator(actuators, joint, joints[j], laws[j])
     notes = notes_of(fit, friction, plays_of(fit))
     if robot.drives is None and any(np.isnan(robot.limit("torque"))):
         notes.append("no torque limits are stated: the range of the motors is not limited")

@@ -73,7 +73,7 @@ def edited_mjcf(
         shared = split(bodies[j], [RigidMember("branches", np.eye(4), np.array(carried))])
         notes += model.write_inertials(body, shared.own, shared.share)
         law, passive = actuator_law(fit, j), passive_torques(fit, j, friction[j])
-        passive = for_steps(passive, law, model.timestep, model.integrator)
+        passive, law = for_steps(passive, law, model.timestep, model.integrator)
         moved = model.write_joint(body, joint.name, passive)
         notes += model.write_actuator(moved, joint.name, law)
     if not np.allclose(model.gravity, fit.model.robot.gravity, atol=1e-9):

@@ -161,23 +161,26 @@ def actuator_law(fit: Fit, index: int) -> ActuatorLaw | None:
 
 def for_steps(
     passive: PassiveTorques, law: ActuatorLaw | None, step: float, integrator: str
-) -> PassiveTorques:
-    """Return passive torques with which a joint has its inertia and dry friction in steps (s).
+) -> tuple[PassiveTorques, ActuatorLaw | None]:
+    """Return torques and law with which a joint moves in steps (s) as the fit states.
 
     MuJoCo's friction loss is a constraint with a time constant of 20 ms, by which a joint at rest
     creeps and a moving one lags: it gets the shortest one that is stable. MuJoCo takes damping from
     the velocity at the end of a step, which adds half a step times the damping to the inertia of a
     joint under commands: M·q̈ = f − D·(q̇ + h/2·q̈). Its implicit integrators do so with an
-    actuator's kv, too, which Euler's takes from the velocity at the start.
+    actuator's kv, too, which Euler's takes from the velocity at the start. The force of a command
+    moves a joint within the same step, on average half a step early: its delay is longer by that.
     """
     if passive.frictionloss:
         passive = replace(
             passive, solreffriction=(2.0 * step, 1.0), solimpfriction=FRICTION_IMPEDANCE
         )
     if law is None or integrator == "RK4":
-        return passive
+        return passive, law
+    if law.delay > 0.0:
+        law = replace(law, delay=law.delay + 0.5 * step)
     added = passive.damping + (-law.damping if integrator == "Euler" else law.damping)
-    return replace(passive, armature=max(passive.armature - 0.5 * step * added, 0.0))
+    return replace(passive, armature=max(passive.armature - 0.5 * step * added, 0.0)), law
 
 
 def numbers_of_joint(fit: Fit, index: int) -> dict[str, float]:

@@ -63,7 +63,7 @@ def convert_units(
     )
 
 
-MOST = 0.99  # of the samples that the control laws state
+MOST = 0.5  # of the samples that the control laws state; at cut ends, velocities are others
 
 
 def torque_of_currents(measurement: Measurement, constants: ArrayLike) -> Array:

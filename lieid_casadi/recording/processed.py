@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import binary_opening
+from scipy.ndimage import binary_opening, maximum_filter1d
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
@@ -171,6 +171,16 @@ class Processed:
     def filtered_moving(self) -> Mask:
         """(M, n) True where no rest, with undetermined friction, is within the filter."""
         return np.asarray(np.abs(self.filter(self.moving) - 1.0) < LARGEST_REST_WEIGHT)
+
+    def away_from_reversals(self, reach: float) -> Mask:
+        """(M, n) True farther than a time, s, from each reversal and rest of a joint.
+
+        There neither the instant at which dry friction reverses nor its value at rest counts.
+        """
+        turned = ~self.moving
+        turned[1:] |= np.sign(self.dq[1:]) != np.sign(self.dq[:-1])
+        size = 2 * round(reach * self.rate) + 1
+        return np.asarray(~maximum_filter1d(turned, size, axis=0)[self.kept])
 
 
 def process(

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.signal import welch
 
 from lieid_casadi.arrays import Array, Mask
+from lieid_casadi.recording.conversion import is_torque_of_laws
 from lieid_casadi.recording.filtering import (
     central_difference,
     decimate,
@@ -19,6 +20,9 @@ from lieid_casadi.recording.repairs import without_repeats
 
 #: Least and most cut-off over the band of the motion.
 LEAST_BANDS, MOST_BANDS = 6.0, 25.0
+#: Cut-off over that band if torque is that of control laws. Its only noise is that of positions,
+#: which accelerations multiply: least squares then make inertia smaller, and delays larger.
+BANDS_OF_LAWS = 3.0
 #: Rate of the torque from which the cut-off is chosen, Hz: arms do not move at higher frequencies.
 TORQUE_RATE = 400.0
 #: Rows from which the cut-off is chosen: a spectrum needs no more.
@@ -39,7 +43,8 @@ def choose_cutoff(recording: Recording) -> float:
     friction-like columns; the band ends where the spectrum of the fitted torque falls below
     that of the residual (median over the joints). At least six and at most 25 times the
     band of the motion (:func:`motion_band`), at most a quarter of the rate. Without torque
-    six times the band of the motion. Two digits; 5 Hz where nothing moves.
+    six times the band of the motion, with that of control laws three times. Two digits; 5 Hz
+    where nothing moves.
     """
     longest = max(recording.segments(), key=lambda segment: segment.duration)
     longest, _ = without_repeats(longest)
@@ -48,8 +53,11 @@ def choose_cutoff(recording: Recording) -> float:
     band = motion_band(longest)
     if band is None:
         return _two_digits(min(5.0, highest), highest)
-    explained = _explained_band(longest)
-    cutoff = LEAST_BANDS * band
+    cutoff, explained = LEAST_BANDS * band, None
+    if longest.drives is not None and is_torque_of_laws(longest, longest.drives):
+        cutoff = BANDS_OF_LAWS * band
+    else:
+        explained = _explained_band(longest)
     if explained is not None:
         cutoff = float(np.clip(explained, cutoff, MOST_BANDS * band))
     return _two_digits(float(np.clip(cutoff, min(0.5, highest), highest)), highest)

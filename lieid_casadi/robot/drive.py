@@ -82,6 +82,11 @@ class Drive:
             return self
         return replace(self, torque_limit=min(torque_limit, self.torque_limit))
 
+    def saturated(self, error: float) -> Drive:
+        """Return the law with what the controller asks for limited to that of an error, rad."""
+        limit = min(self.proportional_limit, self.stiffness * error)
+        return replace(self, proportional_limit=limit)
+
     def scaled(self, stiffness: float) -> Drive:
         """Return a law of unknown stiffness with a stiffness, N·m/rad, that became known."""
         own = self.relative_to(stiffness)

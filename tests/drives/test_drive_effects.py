@@ -23,8 +23,9 @@ from lieid_casadi.effects.registry import make
 from lieid_casadi.errors import BoundWarning, EffectError, NoSolution
 from lieid_casadi.identification.identify import default_effects
 from lieid_casadi.identification.regression.variable_projection import command_error_range
-from lieid_casadi.recording import process
+from lieid_casadi.recording import choose_cutoff, process
 from lieid_casadi.recording.filtering import lowpass
+from lieid_casadi.recording.spectrum import motion_band
 from lieid_casadi.robot.yaml_file import write_yaml
 
 ROBOT = TWO_LINK.with_drives(LAWS)
@@ -122,6 +123,59 @@ def test_a_limit_that_acts_half_of_the_time_is_found():
     model = lieid.Model(robot, f"{BASE},torque_saturation:2")
     (found,) = lieid.identify(model, recording, processing=CUTOFF).shapes
     assert LAWS[1].stiffness * found == pytest.approx(2.2, rel=0.02)
+
+
+def test_a_limit_acts_on_late_commands():
+    robot, recording = saturated(np.inf, 2.2)
+    late = replace(delayed(recording), tau=None).with_drives(robot.drives)
+    model = lieid.Model(robot, f"{BASE},command_delay:2,torque_saturation:2")
+    fit = lieid.identify(model, late, processing=CUTOFF)
+    values = {row["name"]: row["value"] for row in fit.parameter_table()}
+    assert LAWS[1].stiffness * values["torque_saturation.e_s"] == pytest.approx(2.2, rel=0.02)
+    assert values["command_delay.delta"] == pytest.approx(DELAY, abs=0.002)
+    without = lieid.identify(
+        lieid.Model(robot, f"{BASE},torque_saturation:2"), recording, processing=CUTOFF
+    )
+    assert fit.rms_cv[1] < 1.2 * without.rms_cv[1]
+
+
+def test_the_cutoff_of_laws_is_low(runs):
+    """Three times the band of the motion, whose sixfold is the least one of measured torque."""
+    recording = with_torque(runs[0])
+    measured_torque = replace(recording, drives=None)
+    band = motion_band(recording)
+    assert choose_cutoff(recording) == pytest.approx(3.0 * band, rel=0.05)
+    assert choose_cutoff(measured_torque) >= 5.7 * band
+
+
+def so101_recording(monkeypatch, case, seed):
+    """Return the robot and a recording of the altered SO-101 at 50 Hz with 4096 counts."""
+    for name, value in zip(("PLAY", "DELAY", "LIMIT"), so101.CASES[case], strict=True):
+        monkeypatch.setattr(so101, name, value)
+    monkeypatch.setattr(so101, "SEED", seed)
+    return so101.recorded(1, 30.0)[0].with_drives(so101.ROBOT.drives)
+
+
+def test_delays_of_coarse_positions_and_soft_friction(monkeypatch):
+    """Of least squares with noisy accelerations and rows at reversals, 0.008 s more."""
+    recording = so101_recording(monkeypatch, "hold", 25)
+    fit = lieid.identify(lieid.Model(so101.ROBOT, so101.EFFECTS), recording)
+    named = {(row["name"], row["joint"]): row["value"] for row in fit.parameter_table()}
+    delays = [named["command_delay.delta", j] for j in range(1, 7)]
+    np.testing.assert_allclose(delays, 0.01, atol=0.004)
+    altered = so101.altered_model()
+    dry = [named["coulomb.f_c", j] for j in range(1, 7)]
+    np.testing.assert_allclose(dry, altered.dof_frictionloss, rtol=0.07)
+
+
+@pytest.mark.slow
+def test_limits_of_drives_are_found_first(monkeypatch):
+    """They are found as such, and not as effects of the arm that resemble them together."""
+    recording = so101_recording(monkeypatch, "saturation", 0)
+    model = lieid.Model(so101.ROBOT, so101.EFFECTS)
+    found = lieid.diagnose(model, recording, method="feasible")
+    assert {s.label for s in found.steps} == {f"torque_saturation:{j}" for j in range(1, 7)}
+    assert not [event for event in found.events if event.kind != "standstill"]
 
 
 @pytest.mark.parametrize(

@@ -142,7 +142,7 @@ def test_delay_and_saturation_of_drives():
     fit = made_fit(robot, "command_delay:2,torque_saturation:1")
     model, notes = model_of(fit)
     delay = fit.effect_coefficients[0]
-    np.testing.assert_allclose(model.actuator_delay, [0.0, delay])
+    np.testing.assert_allclose(model.actuator_delay, [0.0, delay + 0.5 * model.opt.timestep])
     assert model.actuator_forcerange[0, 1] == pytest.approx(min(40.0, 50.0 * fit.shapes[0]))
     assert any("command delays" in note for note in notes)
 

@@ -35,7 +35,7 @@ from lieid_casadi.identification.regression.design_matrix import (
     varying_columns,
     with_priors,
 )
-from lieid_casadi.identification.regression.fixed_point import FitState, has_settled
+from lieid_casadi.identification.regression.fixed_point import DelaySteps, FitState, has_settled
 from lieid_casadi.identification.regression.least_squares import Factor, stacked
 from lieid_casadi.recording import Processed
 from lieid_casadi.robot import Robot
@@ -211,7 +211,7 @@ def _follow_load(
     model = design.model
     iterate = bool(varying_columns(model).any())
     rows, weighting = start.rows, start.weighting
-    before: Array | None = None
+    before, given, steps = None, None, DelaySteps(model)
     for _ in range(ROUNDS):
         parameters = solver.solve(weighting.factor, weight)
         values = model.base.combination @ parameters
@@ -227,8 +227,8 @@ def _follow_load(
         predicted = rows.predicted(values)
         if before is not None and has_settled(predicted, before):
             return state, True
-        before = predicted
-        rows = design.rows(start.shapes, parameters)
+        before, given = predicted, steps.next(given, parameters)
+        rows = design.rows(start.shapes, given)
         factor = with_priors(stacked(rows, start.weighting.rows), design)
         weighting = replace(start.weighting, factor=factor)
     return state, False

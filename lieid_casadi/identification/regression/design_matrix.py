@@ -17,6 +17,7 @@ from lieid_casadi.compiled import Compiled
 from lieid_casadi.compiled.batch_evaluation import BaseBlocks
 from lieid_casadi.compiled.compiled_model import Part
 from lieid_casadi.effects import ArmEffect
+from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
     Indices,
@@ -33,6 +34,7 @@ from lieid_casadi.recording.processed import Processed
 ColumnKey = tuple[int, int | tuple[str, str]]
 #: Filtered columns (M,) of one segment. Models of one robot with different effects share most.
 FilteredColumns = dict[ColumnKey, Array]
+REVERSAL = 0.5  # periods of the cut-off frequency, for which the filter mixes a reversal with rows
 
 
 def varying_columns(model: Model) -> NDArray[np.bool_]:
@@ -54,6 +56,21 @@ def has_dry_friction(model: Model) -> NDArray[np.bool_]:
         if placement.effect.dry or "sign" in placement.effect.signals:
             dry[placement.joint] = True
     return dry
+
+
+def _usable(model: Model, segment: Processed) -> NDArray[np.bool_]:
+    """Mark the filtered instants (M, n) at which friction is determined.
+
+    Dry friction reverses some milliseconds before or after the velocity: links are elastic, and
+    simulators make it soft. By as much a delay of commands would be wrong, and with it viscous
+    friction, if reversals counted.
+    """
+    dry, late = has_dry_friction(model), np.zeros(model.n, dtype=bool)
+    late[[p.joint for p in model.placements if isinstance(p.effect, CommandDelay)]] = True
+    usable = segment.filtered_moving | ~dry
+    if (dry & late).any():
+        usable &= segment.away_from_reversals(REVERSAL / segment.cutoff) | ~(dry & late)
+    return usable
 
 
 def active_columns(compiled: Compiled) -> list[NDArray[np.intp]]:
@@ -160,7 +177,7 @@ class Design:
         self._active = active_columns(compiled)
         acts = np.array([np.isin(self.varying, active) for active in self._active])
         self._pairs = np.nonzero(acts)  # joints, and the varying columns that act on them
-        self._use = [s.filtered_moving | ~has_dry_friction(self.model) for s in self.segments]
+        self._use = [_usable(self.model, s) for s in self.segments]
         self._torque = [s.filtered_torque for s in self.segments]
         lengths = [len(use) for use in self._use]
         self._segments = np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
@@ -216,12 +233,10 @@ class Design:
         used = (own[mask[:, joint]] for own, mask in zip(values, self._use, strict=True))
         return np.concatenate(list(used))
 
-    def columns_of_shape(self, k: int) -> Indices:
-        """Return the positions, among the varying columns, of those of the effect with shape k."""
-        (own,) = (
-            slot.columns for slot in self.model.slots if slot.shapes.start <= k < slot.shapes.stop
-        )
-        return np.flatnonzero((self._wanted >= own.start) & (self._wanted < own.stop))
+    def columns_on(self, joint: int) -> Indices:
+        """Return the positions, among the varying columns, of those of effects on a joint."""
+        own = [self.model.columns[k].joint == joint for k in self._wanted]
+        return np.flatnonzero(own)
 
     def _varying_blocks(self, shapes: Array, links: Array | None) -> list[Array]:
         """Return the filtered varying columns (M, n, v) of each segment.

@@ -9,6 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects import ArmEffect
+from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.identification.regression.design_matrix import (
     Design,
     varying_columns,
@@ -33,6 +34,7 @@ from lieid_casadi.model import Model
 Progress = Callable[[str, float], None]
 ROUNDS = 30  # largest number of iterations
 MOST_SCANS = 6  # of all shapes over their ranges
+STEEPEST = 0.9  # slope of a step to the next one, in an extrapolation
 SETTLED = 1e-6  # relative change of the predicted torque at convergence
 
 
@@ -66,7 +68,7 @@ def fixed_point(
     if any(isinstance(p.effect, ArmEffect) and p.effect.shapes for p in model.placements):
         # a fit without the effect is biased by it; the nominal bodies are nearer to the arm
         loaded, links = True, nominal_parameters(model) if model.robot.has_inertia else None
-    before: Array | None = None
+    before, steps = None, DelaySteps(model)
     state = _state(design, ESTIMATORS[method], shapes, links)
     for round_ in range(ROUNDS):
         # shapes of load-dependent effects need a load first
@@ -79,7 +81,7 @@ def fixed_point(
         if settled and (search is None or search.confirms(state, links)):
             scan = None if search is None else search.scan
             return replace(state, scan=scan), state.weighting.converged
-        before, links = predicted, state.parameters
+        before, links = predicted, steps.next(links, state.parameters)
         state = _state(design, ESTIMATORS[method], state.shapes, links)
         report("regress", 0.3 + 0.6 * (round_ + 1) / ROUNDS)
     return state, False
@@ -149,6 +151,38 @@ def nominal_parameters(model: Model) -> Array:
     """Return nominal link parameters (zero if not stated) and zero coefficients (10 n + m,)."""
     links = model.robot.link_parameters if model.robot.has_inertia else np.zeros(10 * model.n)
     return np.concatenate([links, np.zeros(len(model.columns))])
+
+
+class DelaySteps:
+    """Steps of the delays of commands to the next iteration, by Wegstein's method.
+
+    The column of a delay is its whole change of torque, not the derivative, so that the solutions
+    of the linear fit approach the delay by a part of the distance that is nearly constant: the
+    secant through the last two iterations extrapolates it (Wegstein, Comm. ACM 1958).
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._own = 10 * model.n + np.flatnonzero(
+            [
+                isinstance(p.effect, CommandDelay)
+                for p in model.placements
+                for _ in p.effect.coefficients
+            ]
+        )
+        self._last: tuple[Array, Array] | None = None
+
+    def next(self, given: Array | None, found: Array) -> Array:
+        """Return parameters from those of an iteration and those that its linear fit found."""
+        if given is None or not len(self._own):
+            return found
+        x, y, last = given[self._own], found[self._own], self._last
+        self._last, parameters = (x, y), found.copy()
+        if last is not None:
+            way = x - last[0]
+            slope = np.divide(y - last[1], way, out=np.zeros(len(x)), where=way != 0.0)
+            slope = np.clip(slope, -STEEPEST, STEEPEST)
+            parameters[self._own] = np.maximum(x + (y - x) / (1.0 - slope), 0.0)
+        return parameters
 
 
 def has_settled(predicted: Array, before: Array) -> bool:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects.arm_effect import ArmEffect
+from lieid_casadi.effects.command_delay import CommandDelay, held_and_late
+from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.model import Model, Slot
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.processed import Processed
@@ -89,10 +91,33 @@ class ModelAlongSegment:
         """Interval between rows of the recording, for which a command is held, s."""
         return 1.0 / self.segment.recording.rate
 
-    @property
+    @cached_property
     def drives(self) -> tuple[Drive, ...] | None:
-        """Control laws of the joints (n), None without."""
-        return self.compiled.model.robot.drives
+        """Control laws of the joints (n) within the limits of the model, None without."""
+        model = self.compiled.model
+        if model.robot.drives is None:
+            return None
+        laws = list(model.robot.drives)
+        for slot in model.slots:
+            if isinstance(slot.placement.effect, TorqueSaturation):
+                j = slot.placement.joint
+                laws[j] = laws[j].saturated(float(self.shapes[slot.shapes.start]))
+        return tuple(laws)
+
+    @property
+    def late_error(self) -> Array | None:
+        """Errors (K, n) of position control with the delays of the model, None without commands."""
+        command, found = self.segment.command, self.segment.command_error
+        if command is None or found is None:
+            return found
+        late, hold = command.copy(), self.hold
+        for column, value in zip(self.compiled.model.columns, self.coefficients, strict=True):
+            if column.name == f"{CommandDelay.name}.delta" and value > 0.0:
+                own = command[:, column.joint]
+                late[:, column.joint] = held_and_late(
+                    self.t, own, float(value), min(hold, 2.0 * float(value))
+                )
+        return replace(self.segment, command=late).command_error
 
     @property
     def gravity(self) -> Array:

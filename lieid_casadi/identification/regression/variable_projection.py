@@ -263,7 +263,7 @@ def shape_columns(design: Design, values: Array, shapes: Array, links: Array | N
             if not design.model.shapes[k].fitted:
                 continue
             j = design.model.shapes[k].joint
-            own = design.columns_of_shape(k)
+            own = design.columns_on(j)  # a limit of torque changes what a delay does, too
             change = (moved[j] - here[j])[:, own] / step[k]
             derivatives[j][:, k] = change @ coefficients[own]
     return derivatives
@@ -299,15 +299,15 @@ def _weighted_problem(
     )
 
 
-def command_error_range(
-    segments: Sequence[Processed], joint: int, *, least: float = COMMAND_ERRORS[0]
-) -> tuple[float, float]:
+def command_error_range(segments: Sequence[Processed], joint: int) -> tuple[float, float]:
     """Return the errors of position control between which a joint in motion shows saturation, rad.
 
-    By default those of the largest fifth, for a stiffness that is not known: where torque saturates
-    at smaller errors than most of the recorded ones, the column of the effect is the recorded
-    torque itself, but for a constant, and every model fits.
+    Those of the largest fifth for a stiffness that is not known: where torque saturates at smaller
+    errors than most of the recorded ones, the column of the effect is the recorded torque itself,
+    but for a constant, and every model fits.
     """
+    drives = segments[0].recording.drives
+    least = COMMAND_ERRORS[0] if drives is None else KNOWN_STIFFNESS
     sizes = []
     for s in segments:
         if s.command_error is not None:
@@ -323,13 +323,10 @@ def resolved_range(design: Design) -> ShapeRange:
     whole = ShapeRange.of(design.model.shapes)
     lower, upper = whole.lower.copy(), whole.upper.copy()
     shapes = [(p.joint, shape) for p in design.model.placements for shape in p.effect.shapes]
-    known = design.segments[0].recording.drives is not None
-    least = KNOWN_STIFFNESS if known else COMMAND_ERRORS[0]
     for k, (joint, shape) in enumerate(shapes):
         if shape.resolved_by == "command_error":
-            low, high = np.clip(
-                command_error_range(design.segments, joint, least=least), lower[k], upper[k]
-            )
+            ends = command_error_range(design.segments, joint)
+            low, high = np.clip(ends, lower[k], upper[k])
             if low < high:
                 lower[k], upper[k] = low, high
     return ShapeRange(lower, upper)
