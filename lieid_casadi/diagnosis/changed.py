@@ -60,7 +60,13 @@ def diagnose_changed(
     rises = np.array([each.motion_ratio for each in noise])
     first = _misfit(rows, expected, [])
     raised = first > options.least_misfit * rises
-    found = search(rows, options, prior=prior_rows(fit.covariance), noise=noise, joints=raised)
+    found = search(
+        rows,
+        options,
+        wanted=lambda c: c.reaches_all or bool(raised[c.joint]),
+        prior=prior_rows(fit.covariance),
+        noise=noise,
+    )
     changes, rejected = _changes(found, raised, options.least_misfit * rises, options)
     report("describe the changes", 0.8)
     after, beyond = _errors(found, changes)

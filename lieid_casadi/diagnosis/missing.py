@@ -12,7 +12,7 @@ from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_form
-from lieid_casadi.diagnosis.evidence import Slot
+from lieid_casadi.diagnosis.evidence import OTHER_JOINTS, Slot
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.motion import UnseenMotion
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -163,25 +163,56 @@ class MissingEffects:
         torque that the law states in addition looks like effects of the arm.
         """
         accepted, rounds = list[Accepted](), 0
-        others = [c.label for c in rows.columns.owners if c.name != TorqueSaturation.name]
-        if len(others) < len(rows.columns.owners):
-            found = search(rows, self.options, refused=others, smooth=False)
+        if any(_is_limit(c) for c in rows.columns.owners):
+            found = search(rows, self.options, wanted=_is_limit)
             fit, accepted = self._plausible(self._accepted(found, accepted))
             if accepted:
-                rows = Rows.of(fit, self.segments, known=self.known, before=rows)
+                rows = self._beside(fit, rows)
         while True:
             self.report(_stage(accepted), 0.1 + 0.7 * rounds / (rounds + ROUNDS))
-            found = search(rows, self.options, refused=self.refused)
+            found = search(rows, self.options, wanted=self._is_wanted)
             new = self._accepted(found, accepted)
             apart = self._set_apart(found)
             rounds += 1
             fit, accepted = self._plausible([*accepted, *new])
             if rounds >= ROUNDS or not (new or apart):
-                self.unseen = UnseenMotion.of(rows, found.folds)
-                return *self._final(fit, accepted), found
-            rows = Rows.of(fit, self.segments, known=self.known, before=rows)
-            for columns in self.apart:
-                rows = rows.with_apart(columns)
+                break
+            rows = self._beside(fit, rows)
+        self.unseen = UnseenMotion.of(rows, found.folds)
+        fit, accepted = self._with_the_same_elsewhere(fit, accepted, rows)
+        return *self._final(fit, accepted), found
+
+    def _with_the_same_elsewhere(
+        self, fit: Fit, accepted: list[Accepted], rows: Rows
+    ) -> tuple[Fit, list[Accepted]]:
+        """Return the fit with effects that several joints have on further joints, if needed.
+
+        Drives of one arm resemble each other. Among all candidates several others may have shared
+        such an effect, so that none of them was worth it.
+        """
+        joints: dict[str, set[int]] = {}
+        for each in accepted:
+            joints.setdefault(each.candidate.name, set()).add(each.joint)
+        common = {name for name, on in joints.items() if len(on) >= OTHER_JOINTS and name != SMOOTH}
+        if not common:
+            return fit, accepted
+        found = search(
+            self._beside(fit, rows),
+            self.options,
+            wanted=lambda c: self._is_wanted(c) and c.name in common and not c.reaches_all,
+        )
+        new = self._accepted(found, accepted)
+        return self._plausible([*accepted, *new]) if new else (fit, accepted)
+
+    def _is_wanted(self, candidate: Candidate) -> bool:
+        return candidate.label not in self.refused
+
+    def _beside(self, fit: Fit, rows: Rows) -> Rows:
+        """Return the rows of a later fit, with what differs between the recordings set apart."""
+        rows = Rows.of(fit, self.segments, known=self.known, before=rows)
+        for columns in self.apart:
+            rows = rows.with_apart(columns)
+        return rows
 
     def _final(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
         """Return the fit with all effects that the final model needs, and these effects."""
@@ -391,6 +422,10 @@ class MissingEffects:
             temperature_mean=self.first.temperature_mean,
             provenance=self.first.provenance,
         )
+
+
+def _is_limit(candidate: Candidate) -> bool:
+    return candidate.name == TorqueSaturation.name
 
 
 def _other_forms(alike: Sequence[Accepted], model: Model) -> list[Accepted]:

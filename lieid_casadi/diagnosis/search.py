@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -75,21 +75,18 @@ def search(
     rows: Rows,
     options: DiagnosisOptions,
     *,
-    refused: Collection[str] = (),
+    wanted: Callable[[Candidate], bool],
     prior: Array | None = None,
     noise: Sequence[Noise] | None = None,
-    joints: NDArray[np.bool_] | None = None,
-    smooth: bool = True,
 ) -> Round:
     """Return the effects of a path on all rows, judged on held-out parts.
 
-    ``refused`` are labels of candidates that are left out, ``prior`` (k, p) rows that state the
-    uncertainty of a model that is kept, ``noise`` that of each joint (by default that of the
-    residual beside the path), ``joints`` (n,) those on which effects are searched for; ``smooth``
-    functions are among them.
+    ``wanted`` chooses the candidates, ``prior`` (k, p) are rows that state the uncertainty of a
+    model that is kept, ``noise`` that of each joint (by default that of the residual beside the
+    path).
     """
-    wanted = [c for c in rows.columns.owners if _is_wanted(c, refused, joints)]
-    rows = rows.with_candidates(wanted)
+    # smooth functions are chosen anew for every residual
+    rows = rows.with_candidates([c for c in rows.columns.owners if c.name != SMOOTH and wanted(c)])
     scale = rows.spread() if noise is None else np.array([each.spread for each in noise])
     nothing = np.zeros((0, sum(run.count for run in rows.runs)), dtype=bool)
     whole: tuple[int, ...] = ()
@@ -101,13 +98,9 @@ def search(
         refined = _refined(paths, whole, rows)
         rows = rows.with_candidates(refined)
         paths = Paths(*_weighted(rows, scale, prior), nothing)
-    rests = [_residual_beside(paths, groups, rows, scale) for groups in (whole, ())]
-    functions = smooth_candidates(rows, rests, scale) if smooth else ()
-    known = {
-        c.label: c
-        for c in functions
-        if c.label not in refused and (joints is None or joints[c.joint])
-    }
+    rest = _residual_beside(paths, whole, rows, scale)
+    smooth = smooth_candidates(rows, [rest, _residual_beside(paths, (), rows, scale)], scale)
+    known = {c.label: c for c in smooth if wanted(c)}
     rows = rows.with_candidates([*rows.columns.owners, *known.values()])
     if prior is None:
         rows = _with_single_recordings(rows)
@@ -233,14 +226,6 @@ def _with_single_recordings(rows: Rows) -> Rows:
 
 def _is_linear(candidate: Candidate) -> bool:
     return not candidate.effect.shapes and candidate.name != SMOOTH
-
-
-def _is_wanted(
-    candidate: Candidate, refused: Collection[str], joints: NDArray[np.bool_] | None
-) -> bool:
-    if candidate.label in refused or candidate.name == SMOOTH:
-        return False  # smooth functions are chosen anew for every residual
-    return joints is None or candidate.reaches_all or bool(joints[candidate.joint])
 
 
 def _weighted(rows: Rows, spread: Array, prior: Array | None) -> tuple[Span, Columns]:
