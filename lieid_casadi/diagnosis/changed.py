@@ -161,7 +161,7 @@ def _changes(
                 slots = [slot for slot in slots if slot is not change.slot]
                 break
         else:
-            simplest = represented(found, slots, options.rival_deviations)
+            simplest = represented(found, slots)
             return _fitted(found, simplest), rejected
 
 

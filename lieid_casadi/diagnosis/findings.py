@@ -133,11 +133,13 @@ def _rivals(steps: Sequence[Step]) -> str:
 
 
 def _selected(steps: Sequence[Step]) -> str:
-    step = min(steps, key=lambda s: s.evidence.selected)
-    if step.evidence.selected == 1.0:
-        return ""
+    step = min(steps, key=lambda s: (s.evidence.selected, s.evidence.deviations))
     where = f" on {location(step.joints)}" if len(steps) > 1 else ""
     selected, together = step.evidence.selected, step.evidence.selected_with_rivals
+    if selected == 1.0:
+        if step.status == "one_of" and not step.rivals:
+            return f"; its gain{where} is only {step.evidence.deviations:.1f} standard errors"
+        return ""
     text = f"; without single parts of the data it was selected{where} in {100 * selected:.0f} %"
     return text + (f", it or a rival in {100 * together:.0f} %" if together > selected else "")
 

@@ -330,7 +330,7 @@ class MissingEffects:
                 self.rejected.pop(label, None)
             else:
                 self.rejected[label] = reason
-        new = represented(found, new, self.options.rival_deviations)
+        new = represented(found, new)
         groups = [slot.group for slot in new]
         return [Accepted.of(found, slot, groups, accepted, self.options) for slot in new]
 

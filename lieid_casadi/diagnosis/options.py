@@ -24,6 +24,9 @@ class DiagnosisOptions:
     #: Standard errors by which the mean gain on held-out parts must exceed zero. Statistics: about
     #: 95 %.
     gain_deviations: float = 2.0
+    #: Standard errors by which it must exceed zero for the effect to be named. Statistics: 99 % of
+    #: Student's t of ten parts; hundreds of candidates are compared.
+    name_deviations: float = 3.0
     #: Least relative fall of the held-out error of a joint (`--worth`). Simulations.
     worth: float = 0.03
     #: Standard errors by which an effect must be better than a rival to be named. Statistics:

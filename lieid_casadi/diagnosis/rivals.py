@@ -58,18 +58,17 @@ def rivals_of(
     return [(group, rival) for _, group, rival in sorted(rivals, key=lambda each: each[0])]
 
 
-def represented(found: Round, slots: Sequence[Slot], deviations: float) -> list[Slot]:
-    """Return slots with the group that has the fewest parameters of those that are not separated.
+def represented(found: Round, slots: Sequence[Slot]) -> list[Slot]:
+    """Return slots with a simpler group in a place where it is as good: parameters count.
 
-    The simplest of equals represents them.
+    The path does not compare what groups gain beside those that came later.
     """
-    groups = [slot.group for slot in slots]
+    groups, cost = [slot.group for slot in slots], found.paths.columns.parameters
     simplest: list[Slot] = []
     for slot in slots:
         others = [g for g in groups if g != slot.group]
-        rivals = [g for g, _ in rivals_of(found, slot, others, deviations)]
-        cost = found.paths.columns.parameters
-        best = min([slot.group, *rivals], key=lambda g: cost[g])
+        better = [g for g, _ in rivals_of(found, slot, others, 0.0) if cost[g] < cost[slot.group]]
+        best = better[0] if better else slot.group
         kept = [*others, *(each.group for each in simplest)]
         taken = found.candidate(best).label in {found.candidate(g).label for g in kept}
         if taken or best == slot.group:

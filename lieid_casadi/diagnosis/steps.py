@@ -43,6 +43,7 @@ ABSORBED = 1e-6  # part of a column outside the model's span, below which the mo
 class Accepted:
     """An effect that the search adds, with what the held-out parts say of it.
 
+    ``certain``: whether the held-out parts leave no doubt that it is there.
     ``beside_smooth``: whether there was a smooth function of its joint when it was found.
     ``replaced``: the effects in whose place it is.
     """
@@ -52,6 +53,7 @@ class Accepted:
     joint: int
     evidence: Evidence
     rivals: tuple[Rival, ...]
+    certain: bool
     beside_smooth: bool
     replaced: tuple[Candidate, ...] = ()
 
@@ -81,12 +83,15 @@ class Accepted:
             *(a.candidate for a in earlier),
         ]
         smooth = any(c.name == SMOOTH and c.joint == slot.joint for c in beside)
+        # without a part of the data something else was in its place, or nothing
+        certain = slot.selected == 1.0 and slot.deviations >= options.name_deviations
         return cls(
             candidate,
             found.paths.columns.shapes(slot.group),
             slot.joint,
             evidence,
             rivals,
+            certain,
             smooth,
         )
 
@@ -95,8 +100,7 @@ class Accepted:
         """What may be said of its name."""
         if self.candidate.name == SMOOTH:
             return "shape"
-        # without a part of the data something else was in its place, or nothing
-        return "named" if not self.rivals and self.evidence.selected == 1.0 else "one_of"
+        return "named" if not self.rivals and self.certain else "one_of"
 
     def replaced_by(self, form: Candidate, all_replaced: Sequence[Accepted]) -> Accepted:
         """Return another form of the effect, in the place of several."""

@@ -143,7 +143,7 @@ def remaining(diagnosis: Diagnosis) -> list[str]:
         if step.status == "shape":
             parts.append(f"{step.label}: no effect of the library describes it.")
         elif step.status == "one_of" and not step.rivals:
-            parts.append(f"{step.label}: not found without every part of the recordings.")
+            parts.append(f"{step.label}: the recordings do not suffice to be certain of it.")
         elif step.status == "one_of" and all(rival.kind == "exact" for rival in step.rivals):
             parts.append(f"No data can separate {' from '.join(group)}.")
         elif step.status == "one_of":

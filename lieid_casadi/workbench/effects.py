@@ -30,7 +30,7 @@ MOST_VALUES = 6  # of an effect that are listed
 STATUS = {"named": "named", "one_of": "one of", "shape": "shape"}
 STATUS_MEANING = {
     "named": "the data separate this effect from every other kind of effect",
-    "one_of": "this effect, or one of the rivals beside it: the data do not separate them",
+    "one_of": "this effect, or a rival beside it: the error falls, and the name is not certain",
     "shape": "no effect of the library describes it; a smooth function does",
 }
 #: Kinds of the library's effects, in the order of the menu; others are listed last.

@@ -188,7 +188,7 @@ def test_purposes(ambiguous):
     assert remaining(exact) == ["No data can separate stribeck:1 from armature:1."]
     alone = replace(ambiguous, steps=(replace(step, rivals=()),))  # not found in all parts
     assert [p.kind for p in purposes(alone, [excitation])] == ["evidence"]
-    assert remaining(alone) == [f"{step.label}: not found without every part of the recordings."]
+    assert remaining(alone) == [f"{step.label}: the recordings do not suffice to be certain of it."]
     apart = Difference("offset:1", "offset", (0,), "b", {"f_b": 1.0}, {"f_b": "N·m"}, True)
     assert len(remaining(replace(ambiguous, steps=(), differing=(apart,)))) == 1
     shape = replace(step, label="smooth/dq:1", status="shape", depends_on=("dq1",), rivals=())
