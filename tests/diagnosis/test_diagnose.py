@@ -272,6 +272,17 @@ def test_effects_whose_gain_is_not_certain_are_undecided():
     )
 
 
+def test_an_effect_whose_gain_is_doubtful_is_added_without_a_name():
+    certain = diagnosis_of(LOAD_FRICTION)
+    doubtful = lieid.diagnose(
+        MODEL, *two_runs(LOAD_FRICTION), options=DiagnosisOptions(name_deviations=1000.0)
+    )
+    (named,), (step,) = certain.steps, doubtful.steps
+    assert (step.label, step.parameters) == (named.label, named.parameters)
+    assert (named.status, step.status, step.rivals) == ("named", "one_of", ())
+    assert f"its gain is only {step.evidence.deviations:.1f} standard errors" in "".join(doubtful.sentences())
+
+
 def test_a_smooth_function_leaves_gravity_to_the_links():
     """A function of an angle resembles gravity: what the data do not decide must not be large."""
     stop = plant.ForeignTorque(0, lambda s: 8.0 * np.maximum(s.q[..., 0] - 0.5, 0.0))

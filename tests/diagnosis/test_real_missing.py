@@ -1,0 +1,25 @@
+"""Missing effects of a UR10e: what several joints have is searched on the others."""
+
+import pytest
+from real_arms import UR10E, needs
+
+import lieid_casadi as lieid
+from lieid_casadi.recording import Processing
+
+
+@pytest.mark.slow
+@needs(UR10E / "ur10e.urdf")
+def test_presliding_of_most_joints_is_found_on_the_wrist_of_a_short_recording():
+    """Among all candidates, delays and polynomials of joint 6 share its torque."""
+    robot = lieid.Robot.from_urdf(UR10E / "ur10e.urdf")
+    model = lieid.Model(robot, "coulomb,viscous,offset,armature")
+    train, test = (
+        lieid.Recording.load(f"{UR10E}/{name}")
+        for name in ("excitation_30s.csv.gz@0:16", "excitation_50s.csv.gz")
+    )
+    diagnosis = lieid.diagnose(model, train, test, processing=Processing(cutoff=7.0))
+    joints = {step.joint for step in diagnosis.steps if step.effect == "presliding"}
+    assert {1, 2, 3, 4, 5} <= joints
+    (wrist,) = [s for s in diagnosis.steps if (s.effect, s.joint) == ("presliding", 5)]
+    assert wrist.confirmed
+    assert wrist.fall.test > 0.04  # N·m
