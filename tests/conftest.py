@@ -15,22 +15,3 @@ def recordings() -> Path:
     if not FOLDER.is_dir():
         pytest.skip(f"no recordings of real arms in {FOLDER.name}/ (set LIEID_RECORDINGS)")
     return FOLDER
-
-
-@pytest.fixture
-def refusal(capsys):
-    """Run a command that ends with status 2 and one line that has a message; return its output."""
-    from lieid_casadi.cli.main import main
-
-    def check(words, message: str) -> str:
-        try:
-            status = main([str(word) for word in words])
-        except SystemExit as stop:  # argparse's own
-            status = stop.code
-        shown = capsys.readouterr()
-        assert status == 2
-        assert shown.err.count("\n") == 1
-        assert message in shown.err
-        return shown.out
-
-    return check

@@ -290,7 +290,7 @@ def faults(args: argparse.Namespace) -> None:
     import random
     import shutil
 
-    from fleet.faults import ClusterProcesses, killed_run, lost_or_repeated
+    from benchmarks.fleet_faults import ClusterProcesses, killed_run, lost_or_repeated
 
     arms = [replace(arm, change=None) for arm in arms_of(args.arms, args.nights, seed=args.seed)]
     write_simulated_fleet(args.folder, arms, args.nights, args.duration)

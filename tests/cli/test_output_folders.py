@@ -6,8 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from cli.folder_contents import tree
-from cli.two_link_files import refused
+from cli.two_link_files import refused, tree
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import OutputError

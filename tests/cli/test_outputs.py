@@ -1,4 +1,4 @@
-"""Output files: whole or unchanged, never over an input."""
+"""Output files: whole or unchanged, never over an input; closed streams and other encodings."""
 
 import os
 import stat
@@ -7,12 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from cli.folder_contents import tree
-from cli.two_link_files import refused
+from cli.two_link_files import refused, tree
 
 from lieid_casadi.atomic_file import atomic_binary
-from lieid_casadi.cli.main import build_parser
-from lieid_casadi.cli.option_types import InputPath, OutputFile, OutputFolder
 from lieid_casadi.errors import OutputError
 
 
@@ -140,25 +137,37 @@ def test_outputs_that_cannot_be_written_together_write_nothing(work, run):
     assert not Path("a.json").exists()
 
 
-def test_every_path_of_every_command_is_checked():
-    """An option without the type of a path would not be compared with the other paths."""
-    types = {
-        OutputFile: {"json", "html", "yaml"},
-        InputPath: {
-            "robot", "fit", "recording", "recordings", "train", "test", "unloaded", "loaded",
-            "effects_file", "capsules",
-        },
-    }  # fmt: skip
-    (commands,) = (a for a in build_parser()._actions if a.dest == "command")
-    checked = 0
-    for command in commands.choices.values():
-        for action in command._actions:
-            for kind, names in types.items():
-                if action.dest in names:
-                    assert action.type is kind, (command.prog, action.dest)
-                    checked += 1
-            if action.dest == "output":
-                assert issubclass(action.type, (OutputFile, OutputFolder)), command.prog
-            elif action.metavar in ("FILE", "DIR", "REC", "FIT"):
-                assert issubclass(action.type, (InputPath, OutputFile, OutputFolder))
-    assert checked > 30
+COMMAND = (sys.executable, "-m", "lieid_casadi.cli.main")
+
+
+@pytest.mark.parametrize(
+    ("closed", "words", "status"),
+    [
+        (">&-", "show two_link", 0),
+        ("2>&-", "show none.urdf", 2),
+        ("<&- >&- 2>&-", "show two_link --json out.json", 0),
+    ],
+)
+def test_closed_streams(tmp_path, closed, words, status):
+    line = f"{' '.join(COMMAND)} {words} {closed}"
+    assert subprocess.run(line, shell=True, cwd=tmp_path, check=False).returncode == status
+    if "out.json" in words:  # nothing else was written into it
+        assert (tmp_path / "out.json").read_text().startswith("{")
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [
+        {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+        {"PYTHONIOENCODING": "ascii"},
+    ],
+)
+def test_streams_without_utf8(environment):
+    done = subprocess.run(
+        [*COMMAND, "show", "two_link"],
+        env=os.environ | environment,
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert b"shoulder" in done.stdout

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -20,12 +21,9 @@ GIVEN = ["--torque-constants", "12,8"]
 def folder(tmp_path_factory):
     """Recordings of currents in degrees, and of torque in SI units."""
     path = tmp_path_factory.mktemp("currents")
-    t = np.arange(0.0, 8.0, 0.01)
+    arm, sensors = plant.demo_arm(ROBOT, hidden=None), plant.Sensors(rate=100.0, torque_noise=0.05)
     for seed in (1, 2):
-        motion = plant.FourierTrajectory(ROBOT, base_frequency=1 / 8, seed=seed).at(t)
-        sensors = plant.Sensors(rate=100.0, torque_noise=0.05)
-        arm = plant.demo_arm(ROBOT, hidden=None)
-        run = plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed)
+        run = recorded(arm, seed, seconds=8.0, step=0.01, sensors=sensors)
         run.save(path / f"torque{seed}.csv")
         degrees = 180.0 / np.pi
         replace(

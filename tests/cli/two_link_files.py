@@ -1,5 +1,7 @@
 """Files of a two-link arm for the tests of commands, and the shape of a refusal."""
 
+from pathlib import Path
+
 import numpy as np
 
 import lieid_casadi as lieid
@@ -56,3 +58,11 @@ def refused(outcome, *words):
     assert err.endswith("\n")
     for word in words:
         assert word in err
+
+
+def tree(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(Path(folder).rglob("*"))
+        if path.is_file()
+    }

@@ -1,13 +1,18 @@
-"""Results of a comparison against independent computations."""
+"""Results of a comparison against independent computations, and their plots."""
 
+import io
 import json
+from dataclasses import replace
 
+import matplotlib
 import numpy as np
 import pytest
 from comparison import two_link_data as arm
+from matplotlib.figure import Figure
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 import lieid_casadi as lieid
+from lieid_casadi.comparison import plot_style
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.comparison.comparison import NUMBERS, verdict
 from lieid_casadi.comparison.series import (
@@ -129,6 +134,7 @@ def test_a_missing_effect_raises_the_error_and_not_the_noise(fit, missing):
     np.testing.assert_allclose(comparison.noise_floor, without.noise_floor, rtol=0.1)
     assert comparison.over_noise[0] > 5.0
     assert comparison.over_noise[1] < 1.5
+    assert "On joint 1 the error in motion is " in verdict(comparison)
 
 
 def test_no_noise_floor_of_joints_at_rest(fit):
@@ -196,6 +202,17 @@ def test_recordings_that_cannot_be_compared_are_refused(fit):
         lieid.compare(fit, [])
 
 
+def test_a_torque_of_zero_has_no_relative_error():
+    t = np.arange(0.0, 12.0, 0.005)
+    q = np.column_stack([np.sin(t), np.cos(2 * t)])
+    comparison = lieid.compare(
+        arm.fit(), lieid.Recording.from_arrays(t, q, None, np.zeros((len(t), 2)))
+    )
+    assert "the measured torque is zero" in verdict(comparison)
+    assert comparison.to_dict()["relative_rms"] == [None, None]
+    assert comparison.to_dict()["correlation"] == [None, None]
+
+
 def test_series_contain_the_signals_of_the_plots(fit):
     test = arm.recording(12.0, seed=2, name="run")
     (series,) = lieid.compare(fit, test).series
@@ -252,3 +269,61 @@ def test_a_spectrum_has_the_power_of_the_error_and_a_peak_where_it_happens(fit):
     assert frequency[np.argmax(amplitude)] == pytest.approx(4.0, abs=0.15)
     assert np.sqrt(np.sum(amplitude**2)) == pytest.approx(comparison.rms[0], rel=0.2)
     assert strongest_at(comparison.series, 0, 4.0) == pytest.approx(27.0, abs=1.5)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    test = arm.recording(14.0, seed=2, noise=0.2, still_after=10.0, name="run_$1$.csv")
+    return lieid.compare(arm.fit(), test)
+
+
+def png(figure):
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=50)
+    return buffer.getvalue()
+
+
+def test_plots_are_figures_and_change_no_setting(drawn):
+    from matplotlib import pyplot
+
+    before, windows = dict(matplotlib.rcParams), pyplot.get_fignums()
+    figures = [drawn.plot(), drawn.plot(joint=1), drawn.plot_errors()]
+    assert all(type(figure) is Figure for figure in figures)
+    assert png(figures[1]).startswith(b"\x89PNG")
+    figure = Figure()
+    assert drawn.plot(figure.subplots(), joint=1) is figure
+    assert dict(matplotlib.rcParams) == before
+    assert pyplot.get_fignums() == windows
+
+
+def test_errors_are_drawn_against_each_signal(drawn):
+    axes = np.reshape(drawn.plot_errors().axes, (2, 4))
+    (series,) = drawn.series
+    for joint in range(2):
+        for column, signal in ((0, series.q), (1, series.dq), (2, series.load)):
+            clouds = [line for line in axes[joint, column].get_lines() if line.get_marker() == "."]
+            points = np.vstack([np.transpose(line.get_data()) for line in clouds])
+            expected = np.column_stack([signal[:, joint], series.error[:, joint]])
+            assert sorted(map(tuple, points)) == sorted(map(tuple, expected))
+
+
+@pytest.mark.parametrize("names", [("$x^2", "\\frac {}"), ("ü" * 200, "")])
+def test_any_name_can_be_drawn(drawn, names):
+    floor = np.full(2, np.nan)  # is not drawn
+    named = replace(drawn, joint_names=names, noise_floor=floor, noise_source="none")
+    for figure in (named.plot(), named.plot_errors()):
+        figure.set_layout_engine("none")  # texts are parsed without it too
+        figure.draw_without_rendering()
+        assert "noise" not in " ".join(t.get_text() for t in figure.legends[0].get_texts())
+
+
+def test_decimated_lines_keep_their_peaks():
+    x = np.arange(200_000.0)
+    y = np.sin(x / 900.0)
+    y[123_456], y[77_777] = 9.0, -7.0
+    thin_x, thin_y = plot_style.envelope(x, y)
+    assert len(thin_x) <= 2 * plot_style.MOST_COLUMNS
+    assert thin_y.max() == 9.0
+    assert thin_y.min() == -7.0
+    assert np.all(np.diff(thin_x) > 0.0)
+    np.testing.assert_array_equal(y[thin_x.astype(int)], thin_y)

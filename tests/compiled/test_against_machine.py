@@ -1,4 +1,7 @@
-"""Compiled functions against CasADi's virtual machine, on every instruction set of this CPU."""
+"""Compiled functions against CasADi's machine and wider numbers, on every instruction set."""
+
+import shutil
+import subprocess
 
 import casadi as ca
 import numpy as np
@@ -6,10 +9,13 @@ import pytest
 from robot.random_arms import random_arm, random_states
 
 import lieid_casadi as lieid
+from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.compiled import compile
 from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation, MachineEvaluation
-from lieid_casadi.compiled.compiler import available_targets
+from lieid_casadi.compiled.compiler import FLAGS, TARGETS, available_targets
+from lieid_casadi.compiled.kernel_source import kernel_source
 from lieid_casadi.effects import Coefficient, Effect
+from lieid_casadi.expressions.model_functions import ModelFunctions
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
@@ -170,3 +176,75 @@ def test_an_operation_without_a_c_form_leaves_the_rest_compiled(caplog):
     assert "ASINH" in caplog.text
     arm.regressor(q, q, q)
     assert isinstance(arm._evaluation("regressor"), CompiledEvaluation)
+
+
+NEON = next(target for target in TARGETS if target.name == "neon")
+COMPILER, DUMP = "aarch64-linux-gnu-gcc", "aarch64-linux-gnu-objdump"
+
+
+@pytest.mark.skipif(shutil.which(COMPILER) is None, reason=f"no {COMPILER}")
+@pytest.mark.parametrize("name", ["lieid_batch.c", "lieid_reduce.c", "kernel.c"])
+def test_everything_builds_for_neon(name, tmp_path):
+    source = codegen_folder() / name
+    if name == "kernel.c":
+        source = tmp_path / name
+        functions = ModelFunctions(lieid.Model(lieid.robots.two_link(), "coulomb,stribeck"))
+        source.write_text(kernel_source(functions.effect_columns))
+    options = [*FLAGS, *NEON.flags, f"-DLIEID_LANES={NEON.lanes}", f"-I{codegen_folder()}"]
+    made = str(tmp_path / "made.so")
+    subprocess.run([COMPILER, *options, "-Wall", "-Werror", str(source), "-o", made], check=True)
+    shown = subprocess.run([DUMP, "-d", made], check=True, capture_output=True, text=True).stdout
+    assert "v0.2d" in shown  # two doubles per register
+
+
+class Functions(Effect):
+    name, formula, signals = "functions", "sin q, cos q, exp q", ("q",)
+    coefficients = (Coefficient("s", "1"), Coefficient("c", "1"), Coefficient("e", "1"))
+
+    def columns(self, s, shape):
+        return [ca.sin(s.q), ca.cos(s.q), ca.exp(s.q)]
+
+
+def evaluate(x, lanes):
+    """sin x, cos x, exp x by the C runtime."""
+    arm = compile(lieid.Model(lieid.robots.two_link(), effects=[Functions()]), lanes=lanes)
+    q = np.column_stack([x, x])
+    values = arm.effect_columns(q, q, q)[:, 0, :3]
+    assert isinstance(arm._evaluation("effect_columns"), CompiledEvaluation)
+    return values.T
+
+
+def error(got, exact):
+    """Error in units of the last place of the exact result."""
+    return np.abs((got - exact) / np.spacing(np.abs(exact).astype(float))).max()
+
+
+ZEROS = np.arange(-3000, 3000) * (np.pi / 2)
+NEAR_ZEROS = [
+    ZEROS,
+    np.nextafter(ZEROS, np.inf),
+    ZEROS + 1e-7,
+    np.arange(50_000, 70_000) * (np.pi / 2),
+]
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).nmant < 60, reason="no wider numbers to compare with")
+@pytest.mark.parametrize("lanes", LANES)
+def test_functions_are_exact_to_one_unit(lanes):
+    sizes = np.array([1e-9, 1e-3, 1.0, 10.0, 1e3, 3e4, 1e6, 1e15, 1e300])
+    random = (sizes[:, None] * np.random.default_rng(0).normal(size=20_000)).ravel()
+    for x, units in ((random, 1.0), (np.concatenate(NEAR_ZEROS), 1.5)):
+        sine, cosine, _ = evaluate(x, lanes)
+        assert error(sine, np.sin(x.astype(np.longdouble))) < units
+        assert error(cosine, np.cos(x.astype(np.longdouble))) < units
+    x = np.concatenate([np.linspace(-708, 709.7, 40_001), np.linspace(-1e-8, 1e-8, 101)])
+    assert error(evaluate(x, lanes)[2], np.exp(x.astype(np.longdouble))) < 1.0
+
+
+@pytest.mark.parametrize("lanes", LANES)
+def test_ends_of_the_range(lanes):
+    x = np.array([np.inf, -np.inf, np.nan, 0.0, -0.0, 710.0, 1e308, -745.0, -746.0, -1e308])
+    with np.errstate(all="ignore"):
+        expected = np.sin(x), np.cos(x), np.exp(x)
+    for got, exact in zip(evaluate(x, lanes), expected, strict=True):
+        np.testing.assert_allclose(got, exact, rtol=1e-15, atol=1e-323)

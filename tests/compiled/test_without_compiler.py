@@ -42,31 +42,28 @@ def check_fallback(caplog, *expected):
         assert text in notices[0]
 
 
-def test_no_compiler_on_the_path(fresh_process, monkeypatch, tmp_path, caplog):
-    monkeypatch.delenv("CC", raising=False)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    check_fallback(caplog, "cc, gcc or clang is not on the path")
+RUBBISH = 'while [ "$1" != -o ]; do shift; done; echo rubbish > "$2"'
 
 
 @pytest.mark.parametrize(
-    ("stated", "found"), [("no-such-compiler -m64", "'no-such-compiler'"), ("'gcc", "$CC is")]
+    ("compiler", "script", "expected"),
+    [
+        (None, "", ["cc, gcc or clang is not on the path"]),
+        ("no-such-compiler -m64", "", ["'no-such-compiler'"]),
+        ("'gcc", "", ["$CC is"]),
+        ("", "echo 'model.c:1: error: out of memory' >&2; exit 4", ["status 4", "out of memory"]),
+        ("", RUBBISH, ["cannot be loaded"]),
+    ],
 )
-def test_a_compiler_that_does_not_exist(fresh_process, monkeypatch, caplog, stated, found):
-    monkeypatch.setenv("CC", stated)
-    check_fallback(caplog, found)
-
-
-def test_a_failing_compiler(fresh_process, monkeypatch, tmp_path, caplog):
-    failing = program(tmp_path / "cc", "echo 'model.c:1: error: out of memory' >&2; exit 4")
-    monkeypatch.setenv("CC", failing)
-    check_fallback(caplog, "status 4", "out of memory")
-    assert not list(fresh_process.glob("*"))
-
-
-def test_a_compiler_that_writes_rubbish(fresh_process, monkeypatch, tmp_path, caplog):
-    rubbish = 'while [ "$1" != -o ]; do shift; done; echo rubbish > "$2"'
-    monkeypatch.setenv("CC", program(tmp_path / "cc", rubbish))
-    check_fallback(caplog, "cannot be loaded")
+def test_no_usable_compiler(
+    fresh_process, monkeypatch, tmp_path, caplog, compiler, script, expected
+):
+    if compiler is None:
+        monkeypatch.delenv("CC", raising=False)
+        monkeypatch.setenv("PATH", str(tmp_path))
+    else:
+        monkeypatch.setenv("CC", program(tmp_path / "cc", script) if script else compiler)
+    check_fallback(caplog, *expected)
     assert not list(fresh_process.glob("*.so"))
 
 

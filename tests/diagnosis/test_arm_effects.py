@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -39,11 +40,9 @@ CASES = {
 }
 
 
-def measured(effect, duration=8.0):
+def measured(effect):
     arm = plant.Arm(ROBOT, LINKS, NONE, (effect,))
-    trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1.0 / duration, seed=4)
-    t = np.arange(0.0, duration, 0.001)
-    return plant.measure_along(arm, t, *trajectory.at(t))
+    return recorded(arm, 4, seconds=8.0, step=0.001, sensors=plant.Sensors(rate=None))
 
 
 @pytest.mark.parametrize("name", CASES)

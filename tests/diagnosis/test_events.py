@@ -4,10 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from drives.commanded import LAWS, TWO_LINK
+from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.diagnosis.events import leave_out_events
+from lieid_casadi.diagnosis.events import held_joints, leave_out_events
 from lieid_casadi.diagnosis.transients import ResidualSignals
 from lieid_casadi.recording import process
 
@@ -17,16 +19,13 @@ FORCE = np.array([40.0, -25.0, 60.0])  # on the tool, N
 POSE = np.array([0.3, -0.6, 0.2, -2.0, 0.4, 1.7, 0.5])
 
 
-def recording(duration=12.0, seed=0, hidden=None, foreign=None, name="run"):
+def recording(duration=12.0, seed=0, hidden=None, foreign=None):
     arm = plant.demo_arm(ROBOT, seed=0, hidden=None)
     if foreign is not None:
         arm = arm.with_effects(plant.ForeignTorque(5, foreign))
     if hidden is not None:
         arm = arm.with_effects(plant.hidden_effect(arm, *hidden[:2], strength=hidden[2]))
-    trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1 / duration, seed=seed)
-    t = np.arange(0.0, duration, 0.002)
-    sensors = plant.demo_sensors(ROBOT)
-    return plant.measure_along(arm, t, *trajectory.at(t), sensors=sensors, seed=seed, name=name)
+    return recorded(arm, seed, seconds=duration, name="run")
 
 
 @pytest.fixture(scope="module")
@@ -181,3 +180,43 @@ def test_effects_on_joints_that_hardly_move_are_no_candidates(fit):
     dq[:, 4] = 1e-3 * np.cos(run.t)
     _, (event,) = leave_out_events(fit, [replace(run, q=q, dq=dq)])
     assert (event.kind, event.joints) == ("standstill", (4,))
+
+
+COMMANDED = replace(TWO_LINK, gravity=np.zeros(3)).with_drives(LAWS)
+
+
+def held_run(held):
+    """Return a recording in which joint 2 moves, then rests with a position error, rad."""
+    t = np.arange(0.0, 12.0, 0.01)
+    inertia = 2.0 * np.cos(2.0 * t) * (t < 9.42)
+    q = np.column_stack([np.sin(1.3 * t), np.where(t < 9.42, np.sin(2.0 * t), np.sin(18.84))])
+    dq = np.column_stack([1.3 * np.cos(1.3 * t), inertia])
+    fit_torque = lieid.compile(COMMANDED).inverse_dynamics(
+        q, dq, np.gradient(dq, t, axis=0), COMMANDED.link_parameters
+    )
+    friction = [0.4, 0.3] * np.sign(dq)
+    stiffness, damping = ([getattr(law, name) for law in LAWS] for name in ("stiffness", "damping"))
+    error = (fit_torque + friction + damping * dq) / stiffness
+    error[t > 9.6, 1] += held
+    noise = 1e-5 * np.random.default_rng(0).normal(size=q.shape)
+    return lieid.Recording.from_arrays(t, q + noise, command=q + error).with_drives(LAWS)
+
+
+@pytest.mark.parametrize("held", [0.0, 0.1])
+def test_a_joint_that_is_held(held):
+    recording = held_run(held)
+    fit = lieid.identify(lieid.Model(COMMANDED, "coulomb,viscous"), recording)
+    found = [str(warning) for warning in held_joints(fit, [recording])]
+    if not held:
+        assert found == []
+        return
+    (message,) = found
+    assert message.startswith("joint 2 rests for ")
+    peak = float(message.split("up to ")[1].split()[0])
+    assert peak == pytest.approx(LAWS[1].stiffness * held, rel=0.1)
+
+
+def test_measured_torque_is_not_judged():
+    recording = held_run(0.1)
+    fit = lieid.identify(lieid.Model(COMMANDED, "coulomb,viscous"), recording)
+    assert held_joints(fit, [replace(recording, command=None)]) == []

@@ -1,11 +1,14 @@
-"""Dry friction that reverses late, as that of a joint that sticks, is not a delayed signal."""
+"""Delays of the torque signal, in motions with rests too, and dry friction that reverses late."""
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from hidden_effects.motions import point_to_point
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.effects.torque_delay import where_known
 from lieid_casadi.errors import LateFrictionWarning
 
 ROBOT = lieid.robots.two_link()
@@ -19,11 +22,8 @@ def recording(seed):
     arm = plant.demo_arm(ROBOT, hidden=None)
     arm = replace(arm, friction=replace(arm.friction, coulomb=COULOMB))
     motion = plant.FourierTrajectory(ROBOT, base_frequency=0.1, seed=seed)
-    sensors = plant.demo_sensors(ROBOT)
-    measured = plant.measure_along(
-        arm, T, *motion.at(T), sensors=sensors, seed=seed, name=f"run {seed}"
-    )
-    return measured, motion
+    sensors, name = plant.demo_sensors(ROBOT), f"run {seed}"
+    return plant.measure_along(arm, T, *motion.at(T), sensors=sensors, seed=seed, name=name), motion
 
 
 def with_late_friction(seed, delay):
@@ -62,3 +62,40 @@ def test_a_delay_of_all_torque_is_named():
 
 def test_nothing_is_stated_where_friction_is_on_time():
     assert not late(lieid.diagnose(MODEL, [recording(seed)[0] for seed in (1, 2)]))
+
+
+STEP = 0.01  # s
+
+
+def sampled(arm, motion, seed):
+    t = np.arange(0.0, motion.duration, STEP / 10)
+    sensors = plant.Sensors(
+        rate=1.0 / STEP, counts_per_turn=2.0**18, velocity="none", torque_noise=(0.02, 0.02)
+    )
+    return plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=seed)
+
+
+def test_a_delay_is_estimated_from_the_moves():
+    """The instants at which joints start and stop have an error of up to one sample."""
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    arm = replace(arm, friction=replace(arm.friction, coulomb=4.0 * arm.friction.coulomb))
+    before = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=1)
+    after = point_to_point(ROBOT, poses=6, seed=4)
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    fit = lieid.identify(model, sampled(arm, before, seed=1))
+    late = arm.with_effects(plant.TorqueDelay(1, delay=0.008))
+    found = lieid.diagnose(fit, sampled(late, after, seed=2))
+    assert [(step.effect, step.joints) for step in found.steps] == [("torque_delay", (1,))]
+    assert found.steps[0].parameters["delta"] == pytest.approx(0.008, abs=0.2 * STEP)
+
+
+@pytest.mark.parametrize(
+    ("past", "zero"), [(0.0, range(29, 41)), (0.05, range(29, 46)), (-0.05, range(24, 41))]
+)
+def test_a_change_is_zero_as_long_as_it_depends_on_a_rest(past, zero):
+    t = STEP * np.arange(100)
+    moving = np.ones((100, 2), dtype=bool)
+    moving[30:40, 0] = False  # joint 2 never rests
+    change = where_known(np.ones((100, 2)), t, moving, past + 1e-9 * np.sign(past))
+    assert set(np.flatnonzero(change[:, 0] == 0.0)) == set(zero)
+    assert np.all(change[:, 1] == 1.0)

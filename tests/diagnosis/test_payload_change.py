@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -12,14 +13,11 @@ ROBOT = lieid.robots.panda()
 COM = np.array([0.02, 0.03, 0.08])
 
 
-def recording(seed, mass=0.0, duration=12.0):
+def recording(seed, mass=0.0):
     arm = plant.demo_arm(ROBOT, seed=0, hidden=None)
     friction = [plant.hidden_effect(arm, "load_friction", j, strength=1.0) for j in (1, 2, 3)]
     arm = arm.with_effects(*friction, plant.Payload(mass, tuple(COM)))
-    trajectory = plant.FourierTrajectory(ROBOT, base_frequency=1 / duration, seed=seed)
-    t = np.arange(0.0, duration, 0.002)
-    sensors = plant.demo_sensors(ROBOT)
-    return plant.measure_along(arm, t, *trajectory.at(t), sensors=sensors, seed=seed)
+    return recorded(arm, seed, seconds=12.0)
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,17 @@
-"""Friction of the model that is not the same in all training recordings is stated as such."""
+"""What is not the same in all training recordings is stated as such: friction, drifts."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
 
 ROBOT = lieid.robots.two_link()
 MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
+RATES = {"first": (0.16, -0.1), "second": (-0.24, 0.1), "third": (0.48, 0.02)}  # N·m/s
 MORE = {"coulomb": 1.0, "viscous": 1.0, "offset": 1.0}  # N·m, N·m·s/rad, N·m
 
 
@@ -19,10 +21,7 @@ def recording(seed, name, more=None):
     if more is not None:
         value = getattr(arm.friction, more) + np.array([MORE[more], 0.0])
         arm = replace(arm, friction=replace(arm.friction, **{more: value}))
-    motion = plant.FourierTrajectory(ROBOT, base_frequency=0.1, seed=seed)
-    t = np.arange(0.0, 10.0, 0.004)
-    sensors = plant.demo_sensors(ROBOT)
-    return plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=seed, name=name)
+    return recorded(arm, seed, step=0.004, name=name)
 
 
 @pytest.mark.parametrize("effect", MORE)
@@ -66,3 +65,19 @@ def test_an_effect_that_one_recording_cannot_show_is_an_effect_of_the_arm():
     diagnosis = lieid.diagnose(MODEL, train)
     assert [step.label for step in diagnosis.steps] == ["viscous_polynomial:1"]
     assert not diagnosis.differing
+
+
+def test_drifts_of_each_recording_are_stated_beside_the_effect_of_the_arm():
+    arm, train = plant.demo_arm(ROBOT, hidden=None), []
+    arm = arm.with_effects(plant.hidden_effect(arm, "load_friction", 0, strength=1.0))
+    for seed, (name, rates) in enumerate(RATES.items(), start=1):
+        drifts = [plant.BiasDrift(joint, rate=rate) for joint, rate in enumerate(rates)]
+        train.append(recorded(arm.with_effects(*drifts), seed, step=0.004, name=name))
+    diagnosis = lieid.diagnose(MODEL, train)
+    assert [step.label for step in diagnosis.steps] == ["load_friction:1"]
+    assert diagnosis.verdict == "unexplained"
+    found = {(d.label, d.recording): d.parameters["r"] for d in diagnosis.differing}
+    for name, rates in RATES.items():
+        for joint, rate in enumerate(rates):
+            assert found.pop((f"bias_drift:{joint + 1}", name)) == pytest.approx(rate, abs=0.05)
+    assert not found

@@ -1,13 +1,16 @@
-"""Motions that separate Stribeck from nonlinear viscous friction, checked independently."""
+"""Motions that separate rival effects, checked independently, and ``lieid discriminate``."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from plant.recordings import recorded
 from scipy.signal import lfilter
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.cli.main import main
 from lieid_casadi.discrimination import discriminate
 from lieid_casadi.discrimination.motion_search import independent_rate
 from lieid_casadi.errors import NoSolution
@@ -172,3 +175,47 @@ def test_a_rival_that_contains_the_other_is_separable_one_way(fit):
     assert "stribeck:1 from stribeck/exponent:1" in design.summary()
     with pytest.raises(NoSolution, match="sizes"):  # with an exponent of 2 they are one
         discriminate(fit, rivals)
+
+
+QUICK = ["--evaluations", "130"]
+
+
+@pytest.fixture(scope="module")
+def paths(tmp_path_factory):
+    """Return the paths of a fit and of its recording."""
+    folder = tmp_path_factory.mktemp("fit")
+    robot = lieid.robots.two_link()
+    recording = recorded(plant.demo_arm(robot, hidden=None), 2, step=0.005)
+    recording.save(folder / "train.csv")
+    fit = lieid.identify(lieid.Model(robot, ["coulomb", "viscous", "offset"]), recording)
+    fit.save(folder / "fit.json")
+    return str(folder / "fit.json"), str(folder / "train.csv")
+
+
+def test_writes_the_trajectory_and_prints_its_duration(paths, tmp_path, capsys):
+    fit, _ = paths
+    out, result = tmp_path / "out", tmp_path / "result.json"
+    words = ["discriminate", fit, "stribeck:1", "viscous_polynomial:1", "-o", str(out), *QUICK]
+    assert main([*words, "--json", str(result)]) == 0
+    shown = capsys.readouterr()
+    content = json.loads(result.read_text())
+    assert f"{content['seconds']:.4g} s of this motion" in shown.out
+    # within the default limits: the tool stays above the base plane
+    assert {"floor", "self-collision", "tool speed"}.isdisjoint(content["unchecked"])
+    assert "Not checked: " in shown.out
+    lines = (out / "trajectory.csv").read_text().splitlines()
+    assert any(line.startswith("# not checked: ") for line in lines)
+    table = np.genfromtxt([line for line in lines if line[0] != "#"], delimiter=",", names=True)
+    height = 0.5 * np.sin(table["q1"]) + 0.4 * np.sin(table["q1"] + table["q2"])
+    assert height.min() > 0.0
+    assert shown.err == ""
+    assert {p.name for p in out.iterdir()} == {
+        "trajectory.csv", "discriminate.json", "discriminate.png", "lieid-manifest.json"
+    }  # fmt: skip
+    assert json.loads((out / "discriminate.json").read_text()) == content
+    # a folder with content stays as it is, unless forced
+    assert main(words) == 2
+    assert "--force" in capsys.readouterr().err
+    assert main([*words, "--force", "--size", "stribeck:1=0.3,0.08"]) == 0
+    again = json.loads((out / "discriminate.json").read_text())
+    assert again["sizes"]["stribeck:1"] == [0.3, 0.08]

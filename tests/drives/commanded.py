@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -24,10 +25,7 @@ def measured(robot, *, hidden=None, seed=0, seconds=20.0, motion=1, payload=None
     """Return a recording of the plant with torque, on a random motion."""
     arm = plant.demo_arm(robot, seed=1, hidden=hidden)
     arm = arm if payload is None else arm.with_effects(payload)
-    path = plant.FourierTrajectory(robot, base_frequency=1 / seconds, harmonics=8, seed=motion)
-    t = np.arange(0.0, seconds, 0.002)
-    quality = plant.demo_sensors(robot)
-    run = plant.measure_along(arm, t, *path.at(t), sensors=quality, seed=seed)
+    run = recorded(arm, motion, seconds=seconds, seed=seed, harmonics=8)
     return lieid.Recording.from_arrays(run.t, run.q, run.dq, run.tau, name="run.csv")
 
 

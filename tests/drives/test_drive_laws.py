@@ -85,31 +85,6 @@ def test_a_robot_file_states_the_drive_law(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([], "expected --stiffness K1"),
-        (["--stiffness", "1,2,3"], "3 numbers; expected 1 or 2"),
-        (["--stiffness", "-1"], "above 0, or unknown"),
-        (["--damping", "1"], "needs --stiffness"),
-        (["--servo", "sts9999"], "expected one of sts3215"),
-        (["--servo", "sts3215", "--stiffness", "3"], "expected one of them"),
-        (["--servo", "sts3215", "--damping", "-1"], "--damping"),
-        (["--known-mass", "elbow=1.0", "--stiffness", "3"], "drives without stiffness"),
-        (["--known-mass", "elbow"], "expected LINK=KG"),
-    ],
-)
-def test_bad_laws_are_one_line(folder, capsys, words, message):
-    try:
-        status = main(["identify", "two_link", str(folder / "run.csv"), *words])
-    except SystemExit as stop:
-        status = stop.code
-    assert status == 2
-    text = capsys.readouterr().err
-    assert message in text
-    assert text.count("\n") == 1
-
-
-@pytest.mark.parametrize(
     ("drive", "message"),
     [
         ("{servo: nonsense}", "sts3215"),

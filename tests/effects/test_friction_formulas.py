@@ -6,7 +6,6 @@ import pytest
 
 from lieid_casadi.effects import Signals, make
 from lieid_casadi.effects.registry import REGISTER
-from lieid_casadi.errors import EffectError
 
 NAMES = ("q", "dq", "ddq", "sign", "load", "temperature", "time")
 
@@ -99,21 +98,3 @@ def test_values_and_derivatives_are_finite_everywhere(label):
 def test_each_column_opposes_motion(label, s):
     """With a positive coefficient none of these gives energy: q̇·column ≥ 0."""
     assert np.all(s["dq"] * evaluate(label, **s) >= 0.0)
-
-
-@pytest.mark.parametrize(
-    "label",
-    [
-        "stribeck/wide",
-        "load_friction/cubic",
-        "temperature_friction/x",
-        "presliding/gms",
-        "transmission_coupling/load",
-    ],
-)
-def test_unknown_options_are_refused(label):
-    with pytest.raises(EffectError, match="unknown effect"):
-        make(label)
-    name, option = label.split("/")
-    with pytest.raises(EffectError, match=f"{name} has no option '{option}'; expected"):
-        type(make(name))(option=option)

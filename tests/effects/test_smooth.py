@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from exporters.c_arms import torque_of
+from plant.recordings import recorded as measured
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.effects import make
-from lieid_casadi.errors import EffectError
 from lieid_casadi.recording import Processing
 
 PANDA = lieid.robots.panda()
@@ -19,14 +19,12 @@ NOISE = 0.05
 OPTIONS = Processing(cutoff=8.0)
 
 
-def recorded(seed, hidden=lambda q, dq: 0.0, duration=15.0):
+def recorded(seed, hidden=lambda q, dq: 0.0):
     """A Panda at 100 Hz with friction and a further torque on joint 4."""
     friction = plant.JointFriction(np.full(7, 0.6), np.full(7, 0.8), np.zeros(7))
     arm = plant.Arm(PANDA, PANDA.link_parameters, friction)
-    motion = plant.FourierTrajectory(PANDA, base_frequency=1 / duration, seed=seed)
-    t = np.arange(0.0, duration, 0.01)
     sensors = plant.Sensors(rate=100.0, torque_noise=NOISE)
-    run = plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=seed)
+    run = measured(arm, seed, seconds=15.0, step=0.01, sensors=sensors)
     tau = run.tau.copy()
     tau[:, 3] += hidden(run.q, run.dq)
     return replace(run, tau=tau)
@@ -106,22 +104,6 @@ def test_the_same_data_give_the_same_knots_and_other_data_others(run):
     assert 0.97 * np.abs(run.dq[:, 3]).max() < speed < np.abs(run.dq[:, 3]).max()
 
 
-@pytest.mark.parametrize(
-    ("spec", "message"),
-    [
-        ("smooth/x:1", "expected one or two of q, dq"),
-        ("smooth/q.q:1", "no option"),
-        ("smooth/q.dq.ddq:1", "no option"),
-        ("smooth/q9:1", "no joint 9"),
-        ("smooth/q3:3", "leave out the number 3"),
-        ("smooth/q0:3", "no option"),
-    ],
-)
-def test_signals_that_do_not_exist_are_refused(spec, message):
-    with pytest.raises(EffectError, match=message):
-        lieid.Model(PANDA, spec)
-
-
 def test_functions_are_orthonormal_and_without_what_friction_describes():
     """Simpson's rule, not the grid of the effect."""
     from scipy.integrate import simpson
@@ -150,16 +132,3 @@ def test_functions_are_orthonormal_and_without_what_friction_describes():
         [sum(simpson(s[a] * s[b], x=x) for s in sides) / 4.0 for a in range(7)] for b in range(7)
     ])  # fmt: skip
     np.testing.assert_allclose(gram, np.eye(7), atol=1e-2)
-
-
-@pytest.mark.parametrize("option", ["dq", "q.dq", "dq.q2"])
-def test_functions_of_the_velocity_are_exactly_odd_or_even(option):
-    """Coefficients of rounding, 1e-16, stood for zeros: a quarter of the constants in C code."""
-    model = lieid.Model(lieid.robots.two_link(), [f"smooth/{option}:1"])
-    torque = lieid.symbolic(model).inverse_dynamics
-    motion = {"q": [0.7, -0.4], "ddq": [0.0, 0.0], "parameters": np.zeros(20)}
-    for coefficients in np.eye(len(model.columns)):
-        given = motion | {"effects": coefficients, "shapes": model.initial_shapes}
-        there, back = (float(torque(**given, dq=[speed, 0.2])["tau"][0]) for speed in (0.37, -0.37))
-        assert there != 0.0
-        assert abs(there) == abs(back)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -15,10 +16,9 @@ OPTIONS = Processing(cutoff=8.0)
 
 def run(effects, thermal, *, seed, temperature=True):
     arm = plant.Arm(ROBOT, plant.perturbed_inertias(ROBOT, seed=3), FRICTION, effects, thermal)
-    t = np.arange(0.0, 60.0, 0.005)
-    q, dq, ddq = plant.FourierTrajectory(ROBOT, base_frequency=0.1, periods=6, seed=seed).at(t)
     sensors = plant.Sensors(rate=200.0, torque_noise=0.02, temperature=temperature)
-    return plant.measure_along(arm, t, q, dq, ddq, sensors=sensors, seed=seed)
+    series = {"base_frequency": 0.1, "periods": 6}
+    return recorded(arm, seed, seconds=60.0, step=0.005, sensors=sensors, **series)
 
 
 @pytest.fixture(scope="module")

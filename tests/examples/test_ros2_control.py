@@ -84,17 +84,6 @@ def test_it_moves_an_arm_of_mujoco(built):
     np.testing.assert_allclose(effort, gravity, atol=1e-6)
 
 
-def test_the_package_names_the_library_and_the_class():
-    description = (FOLDER / "identified_arm.xml").read_text()
-    assert 'path="identified_arm"' in description
-    assert 'type="identified_arm::Controller"' in description
-    assert "ChainableControllerInterface" in description
-    depends = re.findall(r"<depend>(\w+)</depend>", (FOLDER / "package.xml").read_text())
-    cmake = (FOLDER / "CMakeLists.txt").read_text()
-    listed = re.search(r"set\(DEPENDENCIES ([^)]*)\)", cmake)[1].split()
-    assert sorted(listed) == sorted(depends)
-
-
 def test_the_guide_lists_every_parameter():
     ((_, tree),) = yaml.safe_load(
         (FOLDER / "src" / "identified_arm_parameters.yaml").read_text()

@@ -1,4 +1,4 @@
-"""``lieid excite``: files, keys and exit statuses."""
+"""``lieid excite``, requests that are refused, and runs at constant speeds."""
 
 import io
 import json
@@ -11,6 +11,8 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli import inputs
 from lieid_casadi.cli.main import main
+from lieid_casadi.errors import ExcitationError, NoSolution
+from lieid_casadi.excitation import CartesianSpeed, Torque, Wall, excite, floor, friction_sweep
 
 KEYS = {
     "condition_number", "start", "end", "neg_log_det", "solve_seconds", "build_seconds",
@@ -78,26 +80,12 @@ def test_a_folder_with_content_needs_force(folder, capsys):
     assert (folder / "old.txt").read_text() == "old"
 
 
-@pytest.mark.parametrize(
-    ("options", "status", "message"),
-    [
-        (["--start-pose", "0", "99"], 2, "joint 2"),
-        (["--duration", "0.2"], 2, "too short for the acceleration limit"),
-        (["--wall", "0", "0", "1", "-5"], 3, "every pose violates a limit"),
-        (["--criterion", "best"], 2, "expected one of combined"),
-        (["--margin", "1.5"], 2, "margin: 1.5; expected more than 0, at most 1"),
-        (["--acceleration", "0"], 2, "acceleration"),
-        (["--friction-sweep", "7"], 2, "no joint 7"),
-        (["--obstacle", "1", "1", "1", "0", "0", "0"], 2, "lower corner"),
-        (["--capsules", "nowhere.yaml", "--self-collision"], 2, "nowhere.yaml"),
-    ],
-)
-def test_bad_input_gives_one_line_and_no_files(tmp_path, capsys, options, status, message):
-    target = tmp_path / "out"
-    assert main(["excite", "two_link", "-o", str(target), *QUICK, *options]) == status
+def test_a_request_without_a_solution_has_status_3_and_no_files(tmp_path, capsys):
+    wall = [*QUICK, "--wall", "0", "0", "1", "-5"]
+    assert main(["excite", "two_link", "-o", str(tmp_path / "out"), *wall]) == 3
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
-    assert message in captured.err
+    assert "every pose violates a limit" in captured.err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -179,3 +167,124 @@ def test_interrupt_keeps_the_trajectory(tmp_path, monkeypatch):
     content = json.loads((target / "excitation.json").read_text())
     assert content["interrupted"] is True
     assert content["max_violation"] == 0.0
+
+
+PANDA = lieid.robots.panda()
+
+
+def test_a_start_pose_in_collision_is_refused_before_the_search():
+    under_the_floor = [0.0, 1.7, 0.0, -0.2, 0.0, 1.8, 0.0]
+    with pytest.raises(NoSolution, match=r"start pose violates a limit at rest: .* from the floor"):
+        excite(lieid.Model(PANDA), start_pose=under_the_floor, limits=[floor(0.15)])
+
+
+def test_interrupt_before_anything_is_feasible():
+    """`test_excite_command` interrupts a design that has a feasible motion."""
+
+    def progress(stage, fraction):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        excite(lieid.Model(lieid.robots.two_link()), starts=1, progress=progress, limits=())
+
+
+def test_infeasible_workspace_names_the_limit():
+    ceiling = Wall((0.0, 0.0, 1.0), 0.45, "ceiling")
+    with pytest.raises(NoSolution, match=r"no start pose .* from the ceiling is violated"):
+        excite(lieid.Model(PANDA), limits=[ceiling], starts=1, max_iterations=20)
+
+
+def test_torque_limit_below_gravity_is_infeasible():
+    limits = [Torque(0.01, dry=0.0, viscous=0.0)]
+    with pytest.raises(NoSolution, match="torque of joint"):
+        excite(lieid.Model(lieid.robots.two_link()), limits=limits, start_pose=[0.0, 0.5])
+
+
+def robot_with(**changes):
+    from dataclasses import replace
+
+    joints = list(lieid.robots.two_link().joints)
+    joints[1] = replace(joints[1], limits=replace(joints[1].limits, **changes))
+    return replace(lieid.robots.two_link(), joints=tuple(joints))
+
+
+@pytest.mark.parametrize(
+    ("robot", "options", "message"),
+    [
+        ({"velocity": np.nan}, {}, "no velocity limit for joint 2"),
+        ({"position_lower": 2.0, "position_upper": -2.0}, {}, "joint 2 .* contradict"),
+        ({}, {"start_pose": [0.0, 9.0]}, "joint 2 .* at 9, outside its position limits"),
+        ({}, {"start_pose": [0.0]}, "start pose: 1 numbers; expected 2"),
+        ({}, {"acceleration": [1.0, 2.0, 3.0]}, "3 numbers; expected 1 or 2"),
+        ({}, {"samples": 10}, "samples: 10; expected 44"),
+        ({}, {"rate": 1e12}, "rate: 1e\\+12 Hz gives 2e\\+13 rows .* at most 10000000"),
+        ({}, {"samples": 10**9}, "samples: 1000000000; .* at most 100000"),
+        ({}, {"limits": [CartesianSpeed(0.0)]}, "Cartesian speed: 0"),
+    ],
+)
+def test_bad_requests(robot, options, message):
+    with pytest.raises(ExcitationError, match=message):
+        excite(lieid.Model(robot_with(**robot)), **options)
+
+
+def test_a_robot_without_acceleration_limits_or_end_stops():
+    robot = robot_with(acceleration=np.nan, position_lower=np.nan, position_upper=np.nan)
+    found = excite(lieid.Model(robot), duration=8.0, starts=1, max_iterations=30, limits=())
+    assert np.abs(found.motion(200.0).ddq[:, 1]).max() <= 3.0
+
+
+PANDA_MODEL = lieid.Model(lieid.robots.panda())
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return friction_sweep(PANDA_MODEL, 2, seconds=2.0, limits=[Torque()])
+
+
+def test_speeds_of_the_paper_forward_and_backward(runs):
+    forward = np.rad2deg([p.speed for p in runs.parts[::2]])
+    back = np.rad2deg([p.speed for p in runs.parts[1::2]])
+    assert len(forward) == 28
+    assert np.isclose(forward[0], 0.1)
+    assert np.isclose(forward[-1], 30.0)
+    np.testing.assert_allclose(back, -forward)
+    assert runs.left_out == ()
+
+
+def test_speed_is_constant_and_positions_are_the_same_both_ways(runs):
+    t, q, dq = runs.motion.t, runs.motion.q[:, 2], runs.motion.dq[:, 2]
+    for forward, back in zip(runs.parts[::2], runs.parts[1::2], strict=True):
+        ranges = []
+        for part in (forward, back):
+            inside = (t >= part.start + 1e-9) & (t <= part.end - 1e-9)
+            assert inside.sum() > 3
+            np.testing.assert_allclose(dq[inside], part.speed, rtol=1e-9)
+            ranges.append(np.sort(np.interp([part.start, part.end], t, q)))
+        np.testing.assert_allclose(ranges[0], ranges[1], atol=2e-3 * abs(forward.speed))
+
+
+def test_speeds_beyond_the_limits_are_left_out():
+    fast = friction_sweep(PANDA_MODEL, 0, speeds=[0.1, 3.0], seconds=1.0, limits=[])
+    assert fast.left_out == (3.0,)
+    assert len(fast.parts) == 2
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_default_limits_hold_where_the_middle_of_the_range_is_horizontal(joint):
+    """A pose is found around which the joint can move above the floor; height by hand."""
+    runs = friction_sweep(lieid.Model(lieid.robots.two_link()), joint, speeds=[0.1, 0.5])
+    q = runs.motion.q
+    elbow = 0.5 * np.sin(q[:, 0])
+    tool = elbow + 0.4 * np.sin(q.sum(axis=1))
+    assert min(elbow.min(), tool.min()) > 0.0
+    assert len(runs.parts) == 4
+    assert "floor" not in runs.unchecked
+
+
+def test_bad_sweeps():
+    with pytest.raises(ExcitationError, match="no joint 9; the arm has 1 to 7"):
+        friction_sweep(PANDA_MODEL, 8)
+    with pytest.raises(NoSolution, match="too short for every speed"):
+        friction_sweep(PANDA_MODEL, 0, speeds=[5.0], limits=[])
+    with pytest.raises(NoSolution, match="torque of joint"):
+        friction_sweep(PANDA_MODEL, 1, speeds=[0.1], limits=[Torque(0.01, dry=0.0, viscous=0.0)])

@@ -2,15 +2,12 @@
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 from exporters.c_arms import made_fit, torque_of
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.dynamics.lie import Motion
-from lieid_casadi.effects.registry import REGISTER
 from lieid_casadi.errors import ExcitationError
 from lieid_casadi.excitation import Torque, excite
 from lieid_casadi.excitation.sample_functions import FittedArm
@@ -192,25 +189,3 @@ def test_a_covariance_that_is_not_finite_is_refused(fit):
     broken = replace(fit, covariance=np.full_like(fit.covariance, np.inf))
     with pytest.raises(ExcitationError, match="covariance of the fit is not finite"):
         excite(broken, starts=1)
-
-
-def test_the_torque_of_every_effect_of_the_library():
-    """Finite at rest and in motion, and the derivatives have the layout of the covariance."""
-    robot = lieid.robots.two_link()
-    motion = Motion.of(*(ca.SX.sym(name, N) for name in ("q", "dq", "ddq")))
-    sign, direction, time = ca.SX.sym("sign", N), ca.SX.sym("direction"), ca.SX.sym("time")
-    for label, variant in REGISTER.items():
-        effect = variant()
-        place = "" if effect.whole_arm else ":1<2" if effect.couples else ":1"
-        model = lieid.Model(robot, ["coulomb:2", "viscous:2", label + place])
-        count = model.base.count + len(model.shapes)
-        arm = FittedArm(
-            model, robot.link_parameters, np.full(len(model.columns), 0.1), model.initial_shapes,
-            np.eye(count),
-        )  # fmt: skip
-        columns = arm.torque_columns(motion, sign, direction, time)
-        inputs = [motion.q, motion.dq, motion.ddq, sign, direction, time]
-        function = ca.Function("columns", inputs, [columns])
-        values = function([0.3, 0.4], [0.0, 0.2], [1.0, 2.0], [1.0, -1.0], 1.0, 0.0).full()
-        assert values.shape == (N, 1 + count), label
-        assert np.isfinite(values).all(), label

@@ -1,4 +1,4 @@
-"""``lieid experiment``: files, exit statuses, one line on stderr."""
+"""``lieid experiment``: files and exit statuses."""
 
 import io
 import json
@@ -77,19 +77,3 @@ def test_a_motion_is_shown_before_it_is_run(words, tmp_path, capsys, monkeypatch
     assert "Run it on the robot?" in shown.out
     assert "not confirmed" in shown.err
     assert not (tmp_path / "out" / "round-1" / "recording.csv").exists()
-
-
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        (["--record", RECORD], "not a terminal"),
-        (["--record", "cp {trajectory}", "--yes"], "{recording}"),
-        (["--record", RECORD, "--yes", "--probe", "0.2"], "probe"),
-    ],
-)
-def test_invalid_requests_are_one_line_and_no_folder(words, tmp_path, capsys, more, message):
-    assert main([*words, *more]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-    assert not (tmp_path / "out").exists()

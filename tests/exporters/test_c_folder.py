@@ -1,13 +1,16 @@
-"""Folders of exported C: refused requests, files, and the command line."""
+"""Folders of exported C: refused requests, files, and the command."""
+
+import dataclasses
 
 import casadi as ca
 import numpy as np
 import pytest
-from exporters.c_arms import ARMS, made_fit
+from exporters.c_arms import ARMS, made_fit, run, with_load_friction
 
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExportError
+from lieid_casadi.exporters.c.functions import NAMES
 from lieid_casadi.exporters.export import export
 from lieid_casadi.output_folder import MANIFEST, write_folder
 
@@ -67,8 +70,6 @@ def test_failure_leaves_the_folder_as_it_was(tmp_path):
 
 
 def test_numbers_that_are_not_finite_are_refused(tmp_path):
-    import dataclasses
-
     fit = ARMS["rigid"]()
     broken = dataclasses.replace(fit, parameters=np.where(fit.parameters > 0.1, np.nan, 0.0))
     with pytest.raises(ExportError, match="nan; expected finite"):
@@ -85,8 +86,6 @@ def test_user_effect_is_exported(tmp_path):
 
         def columns(self, s, shape):
             return [ca.atan(s.dq / 0.1), ca.fabs(ca.sin(3 * s.q)) ** 1.5]
-
-    from exporters.c_arms import run
 
     export(made_fit(lieid.robots.two_link(), [Waves()]), tmp_path / "arm", to="c")
     sources = ["arm.c", "arm_parameters.c", "arm_test.c"]
@@ -108,24 +107,42 @@ def test_command_writes_c(fit_file, tmp_path, capsys):
     assert "scara.h" in names(out)
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--to", "c", "--prefix", "9"], "prefix '9': expected letters"),
-        (["--to", "urdf", "--prefix", "x"], "a prefix applies to C code"),
-        (["--to", "mjcf", "--payload"], "--payload applies to C code"),
-        (["--to", "urdf"], "--method feasible"),
-        (["--to", "matlab"], "invalid choice: 'matlab'"),
-    ],
-)
-def test_bad_requests_are_one_line_and_write_nothing(fit_file, tmp_path, capsys, words, message):
-    command = ["export", str(fit_file), *words, "-o", str(tmp_path / "out")]
-    try:
-        status = main(command)
-    except SystemExit as stop:
-        status = stop.code
-    assert status == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-    assert not names(tmp_path)
+# -- which functions exported C has --
+
+
+def exported_names(folder):
+    header = (folder / "arm.h").read_text(encoding="utf-8")
+    return {name for name in NAMES if f"void arm_{name}(" in header}
+
+
+def test_all_functions_are_exported(tmp_path):
+    export(ARMS["presliding"](), tmp_path / "arm", to="c")
+    assert exported_names(tmp_path / "arm") == set(NAMES)
+    export(ARMS["rigid"](), tmp_path / "rigid", to="c")
+    assert exported_names(tmp_path / "rigid") == set(NAMES) - {"effect_columns"}
+
+
+def indefinite_fit(effects):
+    fit = made_fit(lieid.robots.two_link(), effects)
+    links = fit.parameters.copy()
+    links[10:20] *= -1.0
+    return dataclasses.replace(fit, parameters=links)
+
+
+@pytest.mark.parametrize("effects", ["viscous", ""])
+def test_an_indefinite_mass_matrix_has_no_forward_dynamics(tmp_path, effects):
+    made = export(indefinite_fit(effects), tmp_path / "arm", to="c")
+    (note,) = [note for note in made.notes if note.startswith("forward_dynamics is left out")]
+    assert "--method feasible" in note
+    assert "forward_dynamics" not in exported_names(tmp_path / "arm")
+    text = " ".join((tmp_path / "arm" / "arm.h").read_text().replace("*", " ").split())
+    assert "is left out: the mass matrix is not positive definite" in text
+
+
+def test_unphysical_load_friction_has_no_forward_dynamics(tmp_path):
+    """A friction of more than the load itself leaves the acceleration undetermined."""
+    for size, has in ((0.005, True), (2.0, False)):
+        fit = with_load_friction(made_fit(lieid.robots.two_link(), "load_friction/square"), size)
+        made = export(fit, tmp_path / f"{size}", to="c")
+        assert ("forward_dynamics" in exported_names(tmp_path / f"{size}")) is has
+        assert any("changes by more than the load" in note for note in made.notes) is not has

@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from plant.recordings import recorded
 from real_arms import URDFS
 
 import lieid_casadi as lieid
@@ -59,25 +60,13 @@ ARM = """<?xml version="1.0" encoding="utf-8"?>
 EFFECTS = "coulomb,viscous,offset,armature"
 
 
-def fitted(robot, *, truth=None, effects=EFFECTS, seed=0):
-    """A feasible fit of an arm with random motion and link parameters ``truth`` (10 n,)."""
-    rng, n = np.random.default_rng(seed), robot.n
-    if truth is None:
-        truth = plant.perturbed_inertias(robot, spread=0.3, seed=seed)
+def fitted(robot, seed=0):
+    """A feasible fit of an arm whose inertias differ from those of its description."""
+    n, ideal = robot.n, plant.Sensors(rate=None)
     friction = plant.JointFriction(np.full(n, 0.4), np.full(n, 0.3), np.zeros(n))
-    t = np.arange(800) * 0.01
-    q = dq = ddq = np.zeros((len(t), n))
-    for k in range(1, 6):
-        w, a, phase = 2 * np.pi * 0.125 * k, rng.uniform(-0.3, 0.3, n), rng.uniform(0, 6, n)
-        angle = w * t[:, None] + phase
-        q, dq, ddq = (
-            q + a * np.sin(angle),
-            dq + a * w * np.cos(angle),
-            ddq - a * w**2 * np.sin(angle),
-        )
-    arm = plant.Arm(robot, truth, friction)
-    recording = plant.measure_along(arm, t, q, dq, ddq, name="run.csv")
-    model = lieid.Model(robot, effects)
+    arm = plant.Arm(robot, plant.perturbed_inertias(robot, spread=0.3, seed=seed), friction)
+    recording = recorded(arm, seed, seconds=8.0, step=0.01, sensors=ideal, name="run.csv")
+    model = lieid.Model(robot, EFFECTS)
     return lieid.identify(model, recording, method="feasible", processing=Processing(cutoff=8.0))
 
 
@@ -134,6 +123,8 @@ def check_torques(path, fit):
 def test_rigid_torques_and_friction_of_pinocchio(bench, tmp_path):
     done = export(bench, tmp_path, to="urdf")
     assert done.files[0].name == "bench_arm.urdf"
+    assert any("no element for armature" in note for note in done.notes)
+    assert any("URDF has no element for it: offset" in note for note in done.notes)
     model = check_torques(done.files[0], bench)
     own = dict(zip([c.label for c in bench.model.columns], bench.effect_coefficients, strict=True))
     elbow, shoulder = (model.idx_vs[model.getJointId(name)] for name in ("elbow", "shoulder"))
@@ -189,12 +180,6 @@ def test_members_are_scaled_if_the_identified_inertia_is_smaller(bench, tmp_path
         mass = root.find(f"link[@name='{name}']/inertial/mass").get("value")
         assert float(mass) == pytest.approx(0.2 * nominal, rel=1e-9)
     check_torques(done.files[0], fit)
-
-
-def test_effects_that_are_not_exported_are_named(bench, tmp_path):
-    notes = export(bench, tmp_path, to="urdf").notes
-    assert any("no element for armature" in note for note in notes)
-    assert any("URDF has no element for it: offset" in note for note in notes)
 
 
 def test_a_fit_without_certificate_is_refused_with_the_command(bench, tmp_path):

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from fleet.faults import ClusterProcesses, killed_run, lost_or_repeated, run_client
+from benchmarks.fleet_faults import ClusterProcesses, killed_run, lost_or_repeated, run_client
 
 from lieid_casadi.cli.main import main
 from lieid_casadi.fleet import cluster as arm_nights
@@ -68,30 +68,6 @@ def test_an_arm_night_beyond_the_memory_of_a_worker_fails_alone(monkeypatch):
         )  # fmt: skip
     assert [found[day][0] for day in "123"] == ["done", "failed", "done"]
     assert "out of memory" in found["2"][1]
-
-
-@pytest.mark.slow
-def test_a_worker_of_this_machine_is_awaited_while_it_starts_again(tmp_path, monkeypatch):
-    """However long that takes on a machine that does other work."""
-    import dask
-
-    def dies_once(nights, fits, expected, begun=tmp_path / "begun"):
-        if not begun.exists():
-            begun.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return Batch.of([(night, NightResult("done")) for night in nights])
-
-    monkeypatch.setattr(arm_nights, "run_arm_nights", dies_once)
-    monkeypatch.setattr(arm_nights, "WORKERS_WAIT", 0.1)
-    monkeypatch.setattr(arm_nights, "CHECK_EVERY", 0.05)
-    options, found = arm_nights.RunOptions(workers=1), []
-    with (
-        dask.config.set({"distributed.deploy.lost-worker-timeout": "1ms"}),
-        arm_nights.dask_client(options) as client,
-    ):
-        night = ArmNight("A1", "2026-01-01", "1.csv", "", "f")
-        arm_nights.run_on_cluster(client, [night], {"f": b""}, options, finished=found.append)
-    assert [line[2] for batch in found for line in batch.lines] == ["done"]
 
 
 def run(folder, scheduler, *options):

@@ -17,7 +17,7 @@ from lieid_casadi.cli.main import main
 from lieid_casadi.errors import FleetError
 from lieid_casadi.fleet import cluster
 from lieid_casadi.fleet import history as history_file
-from lieid_casadi.fleet.alarms import Alarm, alarms_to_report, judge_new_nights, read_alarms
+from lieid_casadi.fleet.alarms import Alarm, alarms_to_report, read_alarms
 from lieid_casadi.fleet.arm_history import read_arms
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.night_result import NightResult
@@ -242,27 +242,3 @@ def test_workers_of_another_minor_version_are_refused_by_name(call, monkeypatch,
     )
     assert (status, version) == ("failed", "9.9.0")
     assert "worker with version 9.9.0" in reason
-
-
-@pytest.mark.slow
-def test_a_judgement_uses_at_most_a_hundred_nights(tmp_path):
-    def drifting(serial, k):
-        return {"grown": {("coulomb.f_c", 2): 0.0008 * k}} if serial == "A1" else {}
-
-    path = write_history(tmp_path / "h.duckdb", 160, ["A0", "A1"], drifting)
-    with History(path, read_only=True) as history:
-        short, whole = list(read_arms(history, waiting=1)), list(read_arms(history))
-    last = FIRST + timedelta(days=159)
-    for a, b in zip(short, whole, strict=True):
-        assert len(b.dates) == 160
-        assert len(a.dates) <= 100
-        for arm in (a.until(last), b.until(last)):
-            assert len(arm.dates) <= 100
-            assert arm.dates[-60:] == b.dates[-60:]  # the latest are complete
-            assert arm.dates[0] == b.dates[0]
-        np.testing.assert_array_equal(a.shares[-60:], b.shares[-60:])
-    with History(path) as history:
-        history.insert("judged", [(last - timedelta(days=1), None)])
-        (alarm,) = judge_new_nights(history)
-    assert (alarm.serial, alarm.quantity, alarm.joint) == ("A1", "coulomb", 2)
-    assert alarm.slope_low < 0.0008 < alarm.slope_high  # slow wear from the first night

@@ -1,9 +1,12 @@
 """A simulated two-link arm whose first joint has friction of a known formula."""
 
+from functools import cache
+
 import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.excitation import friction_sweep
 from lieid_casadi.recording import Processing
 
 ROBOT = lieid.robots.two_link()
@@ -32,7 +35,15 @@ def measured(t, motion, *, hidden=None, torque_noise=0.02, seed=0, rate=250.0, *
     return plant.measure_along(hidden or arm(), t, *motion, sensors=sensors, seed=seed, name="run")
 
 
-def excitation(seed, *, duration=30.0, hidden=None):
-    t = np.arange(0.0, duration, 0.004)
-    motion = plant.FourierTrajectory(ROBOT, base_frequency=0.1, periods=3, seed=seed)
-    return measured(t, motion.at(t), hidden=hidden or arm(), seed=seed)
+@cache
+def sweep(hidden=None, *, speeds=SPEEDS, rate=250.0, **options):
+    """Measure joint 1 at constant speeds, forward and backward, as `friction_sweep` plans."""
+    run = friction_sweep(
+        ROBOT, 0, speeds=speeds, seconds=10.0, start_pose=[0.0, 0.4], limits=[], rate=rate
+    ).motion
+    return measured(run.t, (run.q, run.dq, run.ddq), hidden=hidden, rate=None, **options)
+
+
+def at_stated_speed(curve):
+    """Return which points are at a constant speed, not on a ramp."""
+    return np.abs(curve.speed[:, None] / SPEEDS - 1.0).min(axis=1) < 0.01

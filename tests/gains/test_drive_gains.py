@@ -1,5 +1,6 @@
-"""Drive gains identified from simulated currents with known torque constants."""
+"""Drive gains identified from simulated currents with known torque constants, and the command."""
 
+import json
 from dataclasses import replace
 from functools import lru_cache
 
@@ -8,10 +9,11 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.cli.main import main
 from lieid_casadi.errors import EffectError, IdentificationError, ModelError
 
 PANDA = lieid.robots.panda()
-GAINS = np.array([14.9, 13.3, 11.1, 10.6, 11.0, 11.5, 9.0])
+GAINS = (14.9, 13.3, 11.1, 10.6, 11.0, 11.5, 9.0)
 MASS, COM = 3.0, (0.03, -0.02, 0.08)
 PAYLOAD = plant.Payload(mass=MASS, com=COM, radius=0.06)
 ARM = plant.demo_arm(PANDA, seed=1, hidden=None)
@@ -20,26 +22,17 @@ CUTOFF = lieid.Processing(cutoff=8.0)
 
 
 @lru_cache(maxsize=16)
-def amperes(
-    arm, *, motion=4, seed=0, seconds=30.0, harmonics=8, sensors=None, gains=None, name="", still=()
-):
+def amperes(arm, *, motion=4, seed=0, seconds=30.0, sensors=None, gains=GAINS, name="", still=()):
     """Return currents of an arm on a random motion; joints in ``still`` do not move."""
-    path = plant.FourierTrajectory(
-        arm.robot, base_frequency=1 / seconds, harmonics=harmonics, seed=motion
-    )
+    path = plant.FourierTrajectory(arm.robot, base_frequency=1 / seconds, harmonics=8, seed=motion)
     t = np.arange(0.0, seconds, 0.001)
     q, dq, ddq = path.at(t)
     for j in still:
         q[:, j], dq[:, j], ddq[:, j] = q[0, j], 0.0, 0.0
     quality = sensors or plant.demo_sensors(arm.robot)
     run = plant.measure_along(arm, t, q, dq, ddq, sensors=quality, seed=seed)
-    return lieid.Recording.from_arrays(
-        run.t,
-        run.q,
-        run.dq,
-        current=run.tau / (GAINS if gains is None else np.array(gains)),
-        name=name,
-    )
+    current = run.tau / np.array(gains)
+    return lieid.Recording.from_arrays(run.t, run.q, run.dq, current=current, name=name)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +50,7 @@ def found(unloaded):
 def test_gains_within_three_standard_deviations(found):
     assert np.all(np.abs(found.gains - GAINS) < 3.0 * found.std)
     assert found.std[0] < 0.01 * GAINS[0]
-    assert np.all(found.std[1:] < 0.004 * GAINS[1:])
+    assert np.all(found.std[1:] < 0.004 * np.array(GAINS[1:]))
     assert found.not_identified == ()
     assert found.warnings == ()
     constants = found.option.removeprefix("--torque-constants ").split(",")
@@ -127,7 +120,7 @@ def test_unsuitable_input_is_refused(unloaded):
     with pytest.raises(IdentificationError, match=r"empty\.csv: given as unloaded and as loaded"):
         gains(unloaded, unloaded)
     two_link = lieid.robots.two_link()
-    small = amperes(plant.demo_arm(two_link, hidden=None), gains=tuple(GAINS[:2]))
+    small = amperes(plant.demo_arm(two_link, hidden=None), gains=GAINS[:2])
     with pytest.raises(ModelError, match=r"2 joints; robot .* has 7"):
         gains(unloaded, small)
     torque = replace(unloaded, current=None, tau=unloaded.current, source_hash="x")
@@ -142,3 +135,25 @@ def test_unsuitable_input_is_refused(unloaded):
             gains(unloaded, replace(unloaded, source_hash="z"), effects=effect)
     with pytest.raises(IdentificationError, match="no loaded recording"):
         gains(unloaded, [])
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gains")
+    amperes(ARM, seconds=15.0).save(folder / "empty.csv")
+    amperes(LOADED, motion=5, seed=1, seconds=15.0).save(folder / "loaded.csv")
+    return folder
+
+
+def test_table_json_and_the_option(files, tmp_path, capsys):
+    out = tmp_path / "g.json"
+    words = ["--unloaded", files / "empty.csv", "--loaded", files / "loaded.csv", "--mass", MASS]
+    assert main(["gains", "panda", *map(str, [*words, "--json", out])]) == 0
+    shown = capsys.readouterr().out
+    content = json.loads(out.read_text())
+    assert len(content["gains"]) == len(content["std"]) == 7
+    z = (np.array(content["gains"]) - GAINS) / np.array(content["std"])
+    assert np.all(np.abs(z) < 3.5)
+    assert content["not_identified"] == []
+    assert content["warnings"] == []
+    assert content["option"] in shown.splitlines()

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from plant.motions import PolynomialPath, moves_between, point_to_point
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BPoly, CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from lieid_casadi.arrays import Array
@@ -18,6 +17,45 @@ from lieid_casadi.robot import Robot
 
 SAMPLE, WIDTH, MARGIN = 1e-3, 0.01, 0.06  # s: of smoothed motions, and what is added at the ends
 PAUSE = 0.3  # s of rest at each end of a move between two motions
+
+
+class PolynomialPath:
+    """Quintics through knots (K,), (K, n), (K, n) without acceleration; at rest outside."""
+
+    def __init__(self, times, q, dq):
+        self.path = BPoly.from_derivatives(times, np.stack([q, dq, np.zeros_like(q)], axis=1))
+        self.duration = float(self.path.x[-1])
+
+    def at(self, t):
+        given = np.asarray(t, dtype=float)
+        times = np.clip(given, 0.0, self.duration)
+        inside = ((given > 0.0) & (given < self.duration))[:, None]
+        return self.path(times), self.path(times, 1) * inside, self.path(times, 2) * inside
+
+
+def point_to_point(robot, *, poses=8, dwell=1.0, speed=0.7, seed):
+    """Moves between random poses, at rest for ``dwell`` (s) between them.
+
+    The fastest joint of a move reaches the part ``speed`` of its velocity limit.
+    """
+    envelope = Envelope.of(robot)
+    random = np.random.default_rng(seed)
+    stops = random.uniform(envelope.lower, envelope.upper, (poses, robot.n))
+    distance = np.abs(np.diff(stops, axis=0))
+    # A quintic has peaks of 15/8 of its mean velocity and 10/√3 of distance/time².
+    by_velocity = 15.0 / 8.0 * distance / (speed * envelope.velocity)
+    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * distance / envelope.acceleration)
+    times = np.maximum(np.maximum(by_velocity, by_acceleration).max(axis=1), 0.1)
+    return moves_between(stops, times, dwell)
+
+
+def moves_between(poses, times, dwell):
+    """Moves from rest to rest between poses (P, n), in ``times`` (P − 1,), with dwells, s."""
+    starts = dwell + np.concatenate([[0.0], np.cumsum(times[:-1] + dwell)])
+    knots = np.column_stack([starts, starts + times]).ravel()
+    knots = np.concatenate([[0.0], knots, [knots[-1] + dwell]])
+    every = np.repeat(poses, 2, axis=0)
+    return PolynomialPath(knots, every, np.zeros_like(every))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -28,10 +29,8 @@ CUTOFF = Processing(cutoff=8.0)
 def measured(*effects, robot=ROBOT, friction=FRICTION, seed=0, duration=20.0, **sensors):
     """A recording at 200 Hz of an arm whose inertias differ from the nominal ones."""
     arm = plant.Arm(robot, plant.perturbed_inertias(robot, seed=3), friction, tuple(effects))
-    motion = plant.FourierTrajectory(robot, base_frequency=1 / duration, seed=seed)
-    t = np.arange(0.0, duration, 0.005)
     ideal = plant.Sensors(rate=200.0, **sensors)
-    return arm, plant.measure_along(arm, t, *motion.at(t), sensors=ideal, seed=seed)
+    return arm, recorded(arm, seed, seconds=duration, step=0.005, sensors=ideal)
 
 
 def true_base(model, arm):

@@ -1,17 +1,15 @@
 """Single terms of formulas that whole fits hardly depend on, each against something independent."""
 
-from itertools import pairwise
-
-import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 import lieid_casadi as lieid
-from lieid_casadi.effects import Signals, make
+from lieid_casadi.compiled.triangular_factors import Triangle
 from lieid_casadi.errors import ModelError
+from lieid_casadi.identification.regression.cross_validation import with_whole_fit
 from lieid_casadi.identification.regression.least_squares import (
+    Factor,
     JointRows,
     Rows,
     robust,
@@ -19,6 +17,7 @@ from lieid_casadi.identification.regression.least_squares import (
     stacked,
 )
 from lieid_casadi.identification.uncertainty.covariance import hac_covariance
+from lieid_casadi.identification.uncertainty.noise_model import motion_ratio_of
 from lieid_casadi.recording.filtering import central_difference
 
 ROBOT = lieid.robots.two_link()
@@ -49,47 +48,6 @@ def test_the_shared_rotor_is_accelerated_by_the_other_joint():
     zero = np.zeros((1, 2))
     columns = arm.effect_columns(zero, zero, np.array([[5.0, 0.3]]))[0, 0]
     np.testing.assert_allclose(columns, [0.0, 0.0, 0.3])
-
-
-def bristle(step):
-    """The bristle of LuGre after a motion whose speed rises through its Stribeck velocity."""
-    effect = make("presliding/lugre")
-    names = ("q", "dq", "time")
-    zero = ca.SX(0)
-    symbols = {who: {k: ca.SX.sym(f"{who}_{k}") for k in names} for who in ("before", "now")}
-    z = ca.SX.sym("z")
-    shape = {"w": ca.SX(0.05), "r": ca.SX(2.0), "v_s": ca.SX(0.1)}
-    before, now = (
-        Signals(**own, ddq=zero, sign=zero, load=zero, temperature=zero, state={"z": z})
-        for own in symbols.values()
-    )
-    after = ca.Function(
-        "after",
-        [z, *symbols["before"].values(), *symbols["now"].values()],
-        effect.advance(before, now, shape),
-    )
-    t = np.arange(0.0, 0.4 + 1e-9, step)
-    state = 0.0
-    for a, b in pairwise(t):
-        state = float(after(state, *motion(a), a, *motion(b), b))
-    return state
-
-
-def motion(t):
-    return 0.25 * t**2, 0.5 * t
-
-
-def test_the_width_of_lugre_is_that_of_the_middle_of_a_step():
-    """Its error falls with the square of the step, as that of a width at either end does not."""
-
-    def rate(t, z):
-        dq = motion(t)[1]
-        return dq - abs(dq) * z / (0.05 * (1 + 2.0 * np.exp(-((dq / 0.1) ** 2))))
-
-    exact = solve_ivp(rate, (0.0, 0.4), [0.0], rtol=1e-11, atol=1e-14).y[0, -1]
-    coarse, fine = abs(bristle(0.04) - exact), abs(bristle(0.02) - exact)
-    assert coarse > 1e-7
-    assert fine < coarse / 3.3
 
 
 def test_the_robust_fit_minimizes_hubers_loss():
@@ -153,3 +111,44 @@ def test_functions_of_single_joints_refuse_effects_on_the_whole_arm():
     friction = compiled.effect_torque(*motion, coefficients, joint_effects_only=True)
     coulomb = np.sign(motion[1]) * coefficients[:7]
     np.testing.assert_allclose(friction, coulomb, atol=1e-12)
+
+
+WHOLE = np.array([1.0, 2.0])  # values of the fit of all rows
+
+
+def factor(matrix, torque):
+    triangle = Triangle(3)
+    triangle.add(np.asarray(matrix, dtype=float), np.asarray(torque, dtype=float))
+    return Factor(triangle.r, len(matrix))
+
+
+@pytest.mark.parametrize(("excited", "second"), [(1e-3, 2.0), (0.5, 7.0)])
+def test_a_fold_keeps_what_its_rows_do_not_determine(excited, second):
+    """The other rows alone give (3, 7); they hardly depend on the second parameter, or they do."""
+    rest = factor([[1.0, 0.0], [0.0, excited]], [3.0, 7.0 * excited])
+    held = factor([[0.0, 1.0]], [2.0])
+    np.testing.assert_allclose(solve(rest).values, [3.0, 7.0])
+    found = solve(with_whole_fit(rest, held, WHOLE)).values
+    np.testing.assert_allclose(found, [3.0, second], atol=0.01)
+
+
+SURE = np.ones(900)
+
+
+def test_stationary_noise_has_ratio_one():
+    random = np.random.default_rng(0)
+    ratios = [
+        motion_ratio_of(random.standard_normal(900), SURE, np.arange(900), 1.0, 30)
+        for _ in range(200)
+    ]
+    assert np.mean(np.array(ratios) > 1.0) < 0.12  # the test's level is 5 %
+    assert np.max(ratios) < 1.4
+
+
+def test_rows_with_uncertain_friction_are_no_dependence_on_the_motion():
+    random = np.random.default_rng(3)
+    uncertain = np.arange(900) % 150 < 12
+    residual = random.standard_normal(900) * np.where(uncertain, 10.0, 1.0)
+    weights = np.where(uncertain, 0.3, 1.0)
+    assert motion_ratio_of(residual, weights, np.arange(900), 1.0, 30) == 1.0
+    assert motion_ratio_of(weights * residual, SURE, np.arange(900), 1.0, 30) > 1.2

@@ -37,6 +37,11 @@ def test_placements_follow_the_order_of_the_text():
         ("coulomb:1<2", "acts on one joint"),
         ("coulomb,coulomb:2", "given twice"),
         ("stribeck/wide", "unknown effect 'stribeck/wide'"),
+        ("presliding/gms", "unknown effect"),
+        ("smooth/x:1", "expected one or two of q, dq"),
+        ("smooth/q.q:1", "no option"),
+        ("smooth/q9:1", "no joint 9"),
+        ("smooth/q2:2", "leave out the number 2"),
     ],
 )
 def test_bad_effects_are_named(text, message):

@@ -3,6 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
+from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -17,14 +18,9 @@ PANDA = lieid.robots.panda()
 
 
 @lru_cache(maxsize=16)
-def measured(arm, *, motion=4, seed=0, seconds=30.0, sensors=None, name="", motion_robot=None):
+def measured(arm, *, motion=4, seed=0, seconds=30.0, **options):
     """A recording of an arm on a random motion that it tracks perfectly."""
-    path = plant.FourierTrajectory(
-        motion_robot or arm.robot, base_frequency=1 / seconds, harmonics=8, seed=motion
-    )
-    t = np.arange(0.0, seconds, 0.001)
-    quality = sensors or plant.demo_sensors(arm.robot)
-    return plant.measure_along(arm, t, *path.at(t), sensors=quality, seed=seed, name=name)
+    return recorded(arm, motion, seconds=seconds, step=0.001, seed=seed, harmonics=8, **options)
 
 
 def fitted(arm, effects="coulomb,viscous,offset", **run):

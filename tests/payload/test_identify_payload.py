@@ -1,5 +1,6 @@
-"""Identified payloads against those that the plant simulates with Pinocchio."""
+"""Identified payloads against those that the plant simulates, and ``lieid payload``."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,17 +8,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from payload.loaded_plant import CUTOFF, MASS, PANDA, PAYLOAD, TRUTH, fitted, measured
+from report.test_reports import FETCHING, Page
 from robot.random_arms import random_arm, random_link
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.cli.main import main
 from lieid_casadi.errors import (
     FrictionChangedWarning,
     IdentificationError,
     NegativeMassWarning,
     SameRecordingWarning,
 )
-from lieid_casadi.payload.body import NAMES
+from lieid_casadi.payload.body import (
+    NAMES,
+    identifiable_quantities,
+    physical_jacobian,
+    physical_quantities,
+)
 from lieid_casadi.robot.inertia import body_inertia
 
 ARM = plant.demo_arm(PANDA, seed=1, hidden=None)
@@ -171,3 +179,85 @@ def test_table_and_plot(payload):
     assert len(figure.axes[0].patches) == 14
     assert payload.plot(figure.axes[0]) is figure
     assert payload.sentence in repr(payload)
+
+
+numbers = st.floats(-1.0, 1.0, allow_subnormal=False)
+bodies = st.tuples(
+    st.floats(0.1, 20.0), st.tuples(numbers, numbers, numbers), st.tuples(*[numbers] * 6)
+).map(lambda parts: np.array([parts[0], *parts[1], *parts[2]]))
+
+
+@given(bodies)
+def test_jacobian_against_central_differences(parameters):
+    step = 1e-6
+    numeric = [
+        (
+            physical_quantities(parameters + step * unit)
+            - physical_quantities(parameters - step * unit)
+        )
+        / (2 * step)
+        for unit in np.eye(10)
+    ]
+    size = 1.0 + np.abs(physical_jacobian(parameters)).max()
+    assert np.allclose(physical_jacobian(parameters), np.transpose(numeric), atol=1e-6 * size)
+
+
+def test_a_hidden_first_moment_hides_five_quantities():
+    hidden = {
+        name
+        for name, visible in zip(NAMES, identifiable_quantities(np.eye(10)[2:3]), strict=True)
+        if not visible
+    }
+    assert hidden == {"com_y", "Ixx", "Ixy", "Iyz", "Izz"}
+
+
+ROBOT = lieid.robots.two_link()
+TWO_LINK_ARM = plant.demo_arm(ROBOT, seed=2, hidden=None)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("payload")
+    fitted(TWO_LINK_ARM).save(folder / "fit.json")
+    measured(TWO_LINK_ARM.with_effects(PAYLOAD), motion=7, seed=5).save(folder / "loaded.csv")
+    return folder
+
+
+def lieid_payload(*words):
+    return main(["payload", *map(str, words)])
+
+
+def test_table_json_and_report(files, tmp_path, capsys):
+    out, page = tmp_path / "p.json", tmp_path / "p.html"
+    words = [files / "fit.json", files / "loaded.csv"]
+    words += ["--json", out, "--html", page]
+    assert lieid_payload(*words) == 0
+    shown = capsys.readouterr().out
+    sentence = next(line for line in shown.splitlines() if line.startswith("Payload "))
+    assert sentence.startswith(("Payload 1.99", "Payload 2.00"))
+    assert "not identified: com_z" in shown
+    content = json.loads(out.read_text())
+    assert content["mass"] == pytest.approx(2.0, abs=4 * content["std"]["mass"])
+    assert content["com"][2] is None
+    assert content["std"]["com"][2] is None
+    assert len(content["inertia"]) == len(content["std"]["inertia"]) == 6
+    low, high = content["interval_95"]["mass"]
+    assert low < content["mass"] < high
+    assert {part["name"] for part in content["not_identified"]} >= {"com_z", "Ixx"}
+    assert len(content["rms_before"]) == len(content["rms_after"]) == ROBOT.n
+    assert content["warnings"] == []
+    html = Page(page.read_text())
+    assert sentence[:20] in "".join(html.text)
+    assert not [v for n in FETCHING for v in html.values(n) if not v.startswith(("data:", "#"))]
+
+
+def test_currents_with_torque_constants(files, tmp_path):
+    run = lieid.Recording.load(files / "loaded.csv")
+    constants = np.array([11.0, 9.0])
+    amperes = lieid.Recording.from_arrays(run.t, run.q, run.dq, current=run.tau / constants)
+    amperes.save(tmp_path / "amperes.csv")
+    found = []
+    for words in ([files / "loaded.csv"], [tmp_path / "amperes.csv", "--torque-constants=11,9"]):
+        assert lieid_payload(files / "fit.json", *words, "--json", tmp_path / "p.json") == 0
+        found.append(json.loads((tmp_path / "p.json").read_text())["mass"])
+    assert found[0] == pytest.approx(found[1], rel=1e-9)

@@ -372,21 +372,6 @@ def test_a_fit_remembers_what_corrected_its_recordings(folder, capsys):
     assert "mounting" in capsys.readouterr().err
 
 
-def test_units_and_what_was_left_out_are_part_of_a_check(folder, run, tmp_path, capsys):
-    arm, found, tau = str(folder / "arm.yaml"), tmp_path / "found.json", run.tau.copy()
-    tau[[7, 900], 2] = np.nan
-    damaged = {"t": 1e3 * run.t, "q": run.q, "dq": run.dq, "tau": tau}
-    np.savez(tmp_path / "run.npz", **damaged)
-    assert main(["check", arm, str(tmp_path / "run.npz"), "--json", str(found)]) == 4
-    result = json.loads(found.read_text())
-    assert [(f["premise"], f["remedy"]) for f in result["findings"]] == [
-        ("time_unit", "--units ms")
-    ]
-    assert [w["name"] for w in result["warnings"]] == ["DamagedRowsWarning"]
-    assert "2 of 2000 rows have values that are missing" in capsys.readouterr().out
-    assert main(["check", arm, str(tmp_path / "run.npz"), "--units", "ms"]) == 0
-
-
 def test_a_fit_remembers_the_columns_of_its_recordings(folder, run, tmp_path):
     """They are used where a file has them, as that of the same recorder."""
     order = [0, 2, 1, 3, 4, 5]

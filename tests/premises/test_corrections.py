@@ -1,13 +1,16 @@
-"""What corrects a premise: the same for recordings and for samples, composed, and from options."""
+"""What corrects a premise, composed and from options; masses far from those that are stated."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hidden_effects.arms import load_arm
+from plant.recordings import recorded
 from scipy.interpolate import CubicSpline
 
 import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.errors import StatedMassWarning
 from lieid_casadi.premises.correction import (
     base_rpy,
     correction_of,
@@ -154,3 +157,27 @@ def test_power_stays_the_same():
 def test_values_that_an_option_does_not_take(text, expected):
     with pytest.raises(lieid.LieidError, match=expected):
         correction_of([text], 3)
+
+
+ROBOT = lieid.robots.two_link()
+
+
+@pytest.fixture(scope="module")
+def run():
+    sensors = plant.demo_sensors(ROBOT, rate=100.0)
+    return recorded(plant.demo_arm(ROBOT, hidden=None), 1, step=0.01, sensors=sensors, name="run")
+
+
+@pytest.mark.parametrize(("factor", "far"), [(1.0, False), (8.0, True)])
+def test_masses_far_from_the_stated_ones_are_a_warning(run, factor, far):
+    scaled = replace(run, tau=factor * run.tau)
+    fit = lieid.identify(lieid.Model(ROBOT), scaled, method="feasible", regularization=1e-4)
+    found = [w for w in fit.warnings if isinstance(w, StatedMassWarning)]
+    assert len(found) == far
+    assert not far or "3 kg by the description" in str(found[0])
+    stated = ROBOT.link_parameters
+    g = 9.81 * stated[11] * np.cos(run.q.sum(axis=1))  # of link 2 on joint 2, about its axis
+    load = np.sqrt(np.mean(g**2))
+    np.testing.assert_allclose(fit.certificate.stated_gravity[1], load, rtol=0.05)
+    np.testing.assert_allclose(fit.certificate.gravity[1], factor * load, rtol=0.3)
+    assert "Gravity load that the recordings showed" in fit.certificate.summary()

@@ -1,11 +1,15 @@
-"""Files around the code: version, C side, the README's commands, the table of layers."""
+"""Files around the code: version, C side, the README's commands, layers, fit files of 0.1.0."""
 
 import itertools
 import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 import lieid_casadi
+import lieid_casadi as lieid
 from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.robot import Robot, yaml_file
 
@@ -68,10 +72,22 @@ def test_yaml_in_the_reference_is_read():
     assert Robot.parse_yaml(block[1]).joints[0].torque_constant == 11.0
 
 
-def test_no_text_has_marks_of_an_unresolved_merge():
-    folders = ("lieid_casadi", "codegen", "docs", "examples", "tests")
-    found = [path for folder in folders for path in (ROOT / folder).rglob("*.*")]
-    texts = [p for p in [*ROOT.glob("*.*"), *found] if p.suffix in {".py", ".md", ".toml", ".c"}]
-    assert len(texts) > 300
-    mark = re.compile(r"^(<{7}|>{7}) ", re.M)
-    assert [p for p in texts if mark.search(p.read_text("utf-8", errors="replace"))] == []
+FITS = Path(__file__).parent / "data" / "fits_0_1_0"
+EFFECTS = {
+    "joints": "coulomb,viscous,offset,stribeck:1,load_friction:2,presliding:2",
+    "arm": "coulomb,viscous,offset,base_tilt,armature:2,torque_delay:2",
+    "feasible": "coulomb,viscous,offset,viscous_polynomial:1",
+}
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return lieid.Recording.load(FITS / "motion.csv")
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_fit_of_0_1_0_predicts_identically(motion, name):
+    fit = lieid.Fit.load(FITS / f"fit_{name}.json")
+    assert ",".join(fit.model.effects) == EFFECTS[name]
+    expected = np.loadtxt(FITS / f"predicted_{name}.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(fit.predict(motion), expected, rtol=1e-9, atol=1e-9)

@@ -29,9 +29,6 @@ def refused(file, **options):
     return str(caught.value)
 
 
-# -- bounded inflation ----------------------------------------------------------------
-
-
 def test_a_gzip_bomb_takes_no_memory(tmp_path, monkeypatch):
     monkeypatch.setattr(csv_file, "INFLATE_LIMIT", 1 << 17)
     file = tmp_path / "run.csv.gz"
@@ -104,12 +101,6 @@ def test_pipes_and_names_with_a_null_character_are_refused(tmp_path, name):
     assert "null character" in refused(f"{tmp_path}/a\0{name}")
 
 
-# -- statements that the bytes do not hold --------------------------------------------
-
-
-# -- the registry ---------------------------------------------------------------------
-
-
 HEADER = "t,q1,q2,tau1,tau2"
 ROWS = ["0,1,2,3,4", "0.1,1,2,3,4", "0.2,1,2,3,4"]
 
@@ -172,8 +163,6 @@ def test_a_missing_column_is_named(tmp_path, missing):
 
 
 def test_a_truncated_gzip(tmp_path):
-    import gzip
-
     content = gzip.compress(with_row(0, ROWS[0]).encode())
     assert message(tmp_path, content[:-12], name="run.csv.gz").startswith("not a complete gzip")
     assert message(tmp_path, b"t,q1\n", name="run.csv.gz").endswith("or the suffix .csv")

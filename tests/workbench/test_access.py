@@ -80,24 +80,3 @@ def test_a_busy_port_is_an_error(capsys):
     assert (status, out) == (2, "")
     assert err.count("\n") == 1
     assert "is in use" in err
-
-
-@pytest.mark.parametrize(
-    ("words", "found"),
-    [
-        (["no_such.urdf"], "no_such.urdf"),
-        (["two_link", "--effects", "wings"], "wings"),
-        (["two_link", "a.csv", "--train", "b.csv"], "a.csv"),
-        (["--train", "b.csv"], "without a robot"),
-        (["two_link", "--port", "0"], "port"),
-        (["two_link", "--effects-file", "missing.py"], "missing.py"),
-    ],
-)
-def test_a_wrong_command_line_is_one_line(words, found, capsys):
-    try:
-        status = main(["workbench", *words, "--no-browser"])
-    except SystemExit as stop:
-        status = stop.code
-    out, err = capsys.readouterr()
-    assert (status, out, err.count("\n")) == (2, "", 1)
-    assert found in err

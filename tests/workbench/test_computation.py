@@ -8,7 +8,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import UsageError
-from lieid_casadi.workbench.arm import TRIANGLE, arm_meshes, arm_motion, stl_bytes
+from lieid_casadi.workbench.arm import TRIANGLE, arm_meshes, stl_bytes
 from lieid_casadi.workbench.computation import Computation, recording_titles
 from lieid_casadi.workbench.evaluation import series_of
 from lieid_casadi.workbench.plots import errors_over_signals, torque_lines
@@ -171,15 +171,6 @@ def test_lines_keep_the_extremes_of_every_pixel(computation, first, inputs):
     assert [(p.title, p.unit) for p in panels][:2] == [("angle", "rad"), ("speed", "rad/s")]
     assert all(2.0 <= x <= 5.0 for x, _ in panels[3].forward)
     assert all(x > 0.0 for x, _ in panels[1].forward)
-
-
-def test_poses_are_the_forward_kinematics(two_link_files):
-    robot, recording = lieid.robots.two_link(), lieid.Recording.load(two_link_files[0])
-    motion = arm_motion(robot, recording.t, recording.q)
-    row = int(np.searchsorted(recording.t, motion.times[17]))
-    for link in (1, 2):
-        frame = lieid.symbolic(robot).frame(f"link{link}").forward_kinematics(recording.q[row])
-        np.testing.assert_allclose(motion.poses[17, link], frame, atol=1e-12)
 
 
 def test_meshes_of_a_urdf_are_found_beside_it(tmp_path):
