@@ -81,20 +81,6 @@ def test_show_names_the_base_parameters(tmp_path, capsys):
     assert content["schema"] == 1
 
 
-def test_show_with_symbols_for_lengths(tmp_path, capsys):
-    out = tmp_path / "a.json"
-    assert (
-        main(["show", "two_link", "--symbolic", "--effects", "armature", "--json", str(out)]) == 0
-    )
-    text = " ".join(capsys.readouterr().out.split())
-    assert "mcx1 + d2 m2" in text
-    assert "d2 0.5 x of the frame of link 2 in that of link 1" in text
-    content = json.loads(out.read_text())
-    (length,) = content["lengths"]
-    assert (length["name"], length["value"]) == ("d2", 0.5)
-    assert "Izz1 + d2² m2 + armature.I_a:1" in [p["expression"] for p in content["base_parameters"]]
-
-
 def test_effects_lists_the_library_and_describes_one_effect(tmp_path, capsys):
     out = tmp_path / "a.json"
     assert main(["effects", "--json", str(out)]) == 0

@@ -425,21 +425,6 @@ def test_effects_that_the_model_absorbs_are_listed():
     assert content.to_dict()["absorbed"] == list(content.absorbed)
 
 
-def test_table_and_figure_show_the_same_errors_of_joints_in_motion():
-    train, test = two_runs(LOAD_FRICTION)
-    found = diagnosis_of(LOAD_FRICTION)
-    measured, errors = found.shown
-    assert measured == "test, joints in motion"
-    np.testing.assert_array_equal(errors[-1], lieid.compare(found.fit, test).rms_moving)
-    axes = found.plot().axes[0]
-    assert "joints in motion" in axes.get_ylabel()
-    assert max(map(len, axes.get_ylabel().splitlines())) < 40  # the height of the figure
-    heights = [bar.get_height() for bar in axes.patches]
-    np.testing.assert_allclose(heights, np.concatenate([e / errors[0] for e in errors]))
-    since = lieid.diagnose(lieid.identify(MODEL, train), test)
-    assert since.shown[0] == "new recordings, joints in motion"
-
-
 def test_a_joint_that_is_held_in_training_may_be_unexplained_in_the_test():
     t = np.arange(0.0, 15.0, 0.001)
     motion = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=3).at(t)

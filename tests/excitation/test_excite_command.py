@@ -1,15 +1,12 @@
 """``lieid excite``, requests that are refused, and runs at constant speeds."""
 
-import io
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.cli import inputs
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation import CartesianSpeed, Torque, Wall, excite, floor, friction_sweep
@@ -55,19 +52,6 @@ def test_csv_matches_the_coefficients_in_json(folder):
             for k, (a, b) in enumerate(zip(c["a"][j], c["b"][j], strict=True), start=1)
         )
         np.testing.assert_allclose(rows[:, 1 + j], q, atol=1e-9)
-
-
-def test_plot_leaves_global_state_alone():
-    import matplotlib as mpl
-
-    before = dict(mpl.rcParams)
-    model = lieid.Model(replace(lieid.robots.two_link(), name="a$x^{$"))
-    found = lieid.excitation.excite(model, duration=6.0, starts=1, max_iterations=20)
-    figure = found.plot()
-    figure.savefig(io.BytesIO(), format="png")  # "$" in a name is no formula
-    assert "a$x^{$" in figure.axes[0].get_title()
-    assert len(figure.axes) == 1
-    assert dict(mpl.rcParams) == before
 
 
 def test_a_folder_with_content_needs_force(folder, capsys):
@@ -122,29 +106,6 @@ def test_a_fit_in_place_of_the_robot(tmp_path, capsys):
     unchecked = json.loads((tmp_path / "s.json").read_text())["sweeps"][0]["unchecked"]
     assert {"floor", "self-collision", "tool speed"} <= set(unchecked)
     assert "Not checked: " in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ([], ["Torque", "CartesianSpeed", "Wall", "SelfCollision"]),
-        (["--floor", "none"], ["Torque", "CartesianSpeed", "SelfCollision"]),
-        (["--unchecked-workspace"], ["Torque"]),
-        (
-            ["--cartesian-speed", "1", "--floor", "--self-collision", "--wall", "1", "0", "0",
-             "0.8", "--workspace-box", "-1", "-1", "-1", "1", "1", "2",
-             "--obstacle", "0.5", "-0.1", "0", "0.7", "0.1", "0.3"],
-            ["Torque", "CartesianSpeed", "Wall", "SelfCollision", *["Wall"] * 7, "Obstacle"],
-        ),
-    ],
-)  # fmt: skip
-def test_limits_of_the_options(options, expected):
-    from lieid_casadi.cli.main import build_parser
-
-    arguments = build_parser().parse_args(["excite", "panda", "-o", "x", *options])
-    limits = inputs.limits_of(arguments, lieid.robots.panda())
-    assert [type(limit).__name__ for limit in limits] == expected
-    assert limits[0].fraction == 0.8
 
 
 def test_interrupt_keeps_the_trajectory(tmp_path, monkeypatch):

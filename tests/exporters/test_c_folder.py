@@ -115,13 +115,6 @@ def exported_names(folder):
     return {name for name in NAMES if f"void arm_{name}(" in header}
 
 
-def test_all_functions_are_exported(tmp_path):
-    export(ARMS["presliding"](), tmp_path / "arm", to="c")
-    assert exported_names(tmp_path / "arm") == set(NAMES)
-    export(ARMS["rigid"](), tmp_path / "rigid", to="c")
-    assert exported_names(tmp_path / "rigid") == set(NAMES) - {"effect_columns"}
-
-
 def indefinite_fit(effects):
     fit = made_fit(lieid.robots.two_link(), effects)
     links = fit.parameters.copy()

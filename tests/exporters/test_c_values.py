@@ -16,7 +16,6 @@ from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.export import export
 from lieid_casadi.plant import build_pinocchio
-from lieid_casadi.robot.geometry import pose
 
 ROWS = 30
 
@@ -252,9 +251,9 @@ def test_runtime_functions_are_numpys(runtime, name):
         np.testing.assert_allclose(function(*given), expected(*given), rtol=1e-14, atol=0.0)
 
 
-PANDA = lieid.robots.panda()
+SMALL = random_arm(np.random.default_rng(6), 3, mixed=False)
 FRICTION = "coulomb,viscous,offset,load_friction:2"
-EFFECTS = "base_tilt,payload,external_wrench,encoder_offset:4,torque_gain:3,bias_drift:5"
+EFFECTS = "base_tilt,payload,external_wrench,encoder_offset:2,torque_gain:3,bias_drift:1"
 SHORT = 4  # samples of a recording that is predicted as it was measured, not filtered
 RUNS = 8
 
@@ -289,8 +288,7 @@ class OneSample:
 
 def test_torque_is_that_of_predict(tmp_path):
     """The tool is neither at the last link's origin nor along its axes."""
-    robot = dataclasses.replace(PANDA, tool=pose((0.05, 0.02, 0.12), (0.1, -0.2, 0.3)))
-    fit = made_fit(robot, f"{FRICTION},{EFFECTS}")
+    fit = made_fit(SMALL, f"{FRICTION},{EFFECTS}")
     exported = OneSample(fit, tmp_path / "arm")
     for recording in short_recordings(fit.model.n):
         expected = fit.predict(recording)
@@ -302,7 +300,7 @@ def test_torque_is_that_of_predict(tmp_path):
 
 def test_torque_is_that_of_a_simulated_arm_with_the_effect(tmp_path):
     """Compared with simulated arms, not with columns of this package."""
-    robot = random_arm(np.random.default_rng(6), 4, mixed=False)
+    robot = SMALL
     cases = {
         # a point at the tool: of another body the effect neglects the inertia about it
         "payload": (plant.Payload(1.5, (0.0, 0.0, 0.0), 1e-9), [1.5, 0.0, 0.0, 0.0]),
@@ -317,7 +315,7 @@ def test_torque_is_that_of_a_simulated_arm_with_the_effect(tmp_path):
     t = np.arange(0.0, 2.0, 0.05)
     motion = plant.FourierTrajectory(robot, base_frequency=0.1, seed=4).at(t)
     for number, (label, (effect, coefficients)) in enumerate(cases.items()):
-        hidden = plant.OneSample(
+        hidden = plant.Arm(
             robot, robot.link_parameters, plant.JointFriction.none(robot.n), (effect,)
         )
         recording = plant.measure_along(hidden, t, *motion)
@@ -332,7 +330,8 @@ def test_torque_is_that_of_a_simulated_arm_with_the_effect(tmp_path):
 
 
 def test_notes_name_what_is_not_exported(tmp_path):
-    fit = made_fit(PANDA, "coulomb,torque_delay:2,bias_drift:1,payload")
+    robot = lieid.robots.two_link()
+    fit = made_fit(robot, "coulomb,torque_delay:2,bias_drift:1,payload")
     notes = export(fit, tmp_path / "arm", to="c").notes
     text = (tmp_path / "arm" / "arm.h").read_text()
     for label, words in (
@@ -342,11 +341,11 @@ def test_notes_name_what_is_not_exported(tmp_path):
     ):
         assert any(note.startswith(label) and words in note for note in notes)
         assert f"{label}: " in text
-    undelayed = made_fit(PANDA, "coulomb")
-    undelayed = dataclasses.replace(undelayed, parameters=fit.parameters[: 10 * 7 + 7])
-    delayed = made_fit(PANDA, "coulomb,torque_delay:2")
-    delayed = dataclasses.replace(delayed, parameters=fit.parameters[: 10 * 7 + 8])
-    recording = next(short_recordings(7))
+    undelayed = made_fit(robot, "coulomb")
+    undelayed = dataclasses.replace(undelayed, parameters=fit.parameters[: 10 * 2 + 2])
+    delayed = made_fit(robot, "coulomb,torque_delay:2")
+    delayed = dataclasses.replace(delayed, parameters=fit.parameters[: 10 * 2 + 3])
+    recording = next(short_recordings(2))
     a, b = (
         OneSample(f, tmp_path / n).torque(recording) for f, n in ((undelayed, "u"), (delayed, "d"))
     )
@@ -354,7 +353,7 @@ def test_notes_name_what_is_not_exported(tmp_path):
 
 
 def test_elasticity_is_refused(tmp_path, capsys):
-    fit = made_fit(PANDA, "coulomb,joint_elasticity:2")
+    fit = made_fit(lieid.robots.two_link(), "coulomb,joint_elasticity:2")
     with pytest.raises(ExportError, match="joint_elasticity:2 needs the motion over time"):
         export(fit, tmp_path / "arm", to="c")
     assert not (tmp_path / "arm").exists()

@@ -173,14 +173,6 @@ def test_motion_about_the_vertical_does_not_identify_mass(fit):
     assert found.sentence == "The mass of the payload cannot be identified from this motion."
 
 
-def test_table_and_plot(payload):
-    assert payload._repr_html_().count("<tr>") == 11
-    figure = payload.plot()
-    assert len(figure.axes[0].patches) == 14
-    assert payload.plot(figure.axes[0]) is figure
-    assert payload.sentence in repr(payload)
-
-
 numbers = st.floats(-1.0, 1.0, allow_subnormal=False)
 bodies = st.tuples(
     st.floats(0.1, 20.0), st.tuples(numbers, numbers, numbers), st.tuples(*[numbers] * 6)
