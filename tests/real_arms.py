@@ -1,9 +1,12 @@
-"""Where recordings of real arms lie; tests that need them are skipped where they are not."""
+"""Recordings of real arms; tests that need them are skipped where they are not."""
 
 import os
+from functools import cache
 from pathlib import Path
 
 import pytest
+
+import lieid_casadi as lieid
 
 _STATED = os.environ.get("LIEID_RECORDINGS")
 FOLDER = Path(_STATED) if _STATED else Path(__file__).parents[2] / "shared" / "recordings"
@@ -33,3 +36,17 @@ URDFS = [
         (PANDA / "panda.urdf", FINGERS),
     )
 ]
+
+
+@cache
+def ur10e_run(name: str) -> lieid.Recording:
+    """Return a recording of the UR10e."""
+    return lieid.Recording.load(UR10E / f"{name}.csv.gz")
+
+
+@cache
+def ur10e_fit(effects: str) -> lieid.Fit:
+    """Return a fit of the UR10e to its two training recordings."""
+    model = lieid.Model(lieid.Robot.from_urdf(UR10E / "ur10e.urdf"), effects)
+    train = [ur10e_run("excitation_30s"), ur10e_run("excitation_50s")]
+    return lieid.identify(model, train, processing=lieid.Processing(cutoff=7.0))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from real_arms import UR10E, needs
+from real_arms import UR10E, needs, ur10e_fit, ur10e_run
 
 import lieid_casadi as lieid
 from lieid_casadi.comparison.comparison import verdict
@@ -13,23 +13,9 @@ pytestmark = [pytest.mark.real, needs(UR10E / "ur10e.urdf")]
 PLAIN = "coulomb,viscous,offset,armature"
 
 
-def load(name):
-    return lieid.Recording.load(UR10E / f"{name}.csv.gz")
-
-
-def fitted(effects):
-    model = lieid.Model(lieid.Robot.from_urdf(UR10E / "ur10e.urdf"), effects)
-    train = [load("excitation_30s"), load("excitation_50s")]
-    return lieid.identify(model, train, processing=lieid.Processing(cutoff=7.0))
-
-
-@pytest.fixture(scope="module")
-def plain():
-    return fitted(PLAIN)
-
-
-def test_excitation_is_as_good_as_the_reference(plain):
-    comparison = lieid.compare(plain, load("excitation_14_harmonics"))
+def test_excitation_is_as_good_as_the_reference():
+    plain = ur10e_fit(PLAIN)
+    comparison = lieid.compare(plain, ur10e_run("excitation_14_harmonics"))
     reference = np.array([2.49, 3.74, 1.42, 0.34, 0.37, 0.31])
     reference_raw = np.array([3.40, 4.45, 1.82, 0.50, 0.58, 0.47])
     assert np.all(comparison.rms < 1.05 * reference)
@@ -40,8 +26,9 @@ def test_excitation_is_as_good_as_the_reference(plain):
     assert np.all(comparison.noise_floor < comparison.rms)
 
 
-def test_dwells_of_the_wrist_are_reported(plain):
-    comparison = lieid.compare(plain, load("point_to_point"))
+def test_dwells_of_the_wrist_are_reported():
+    plain = ur10e_fit(PLAIN)
+    comparison = lieid.compare(plain, ur10e_run("point_to_point"))
     reference = np.array([2.58, 3.21, 1.38, 0.23, 1.09, 1.42])
     assert np.all(comparison.rms < 1.07 * reference)
     assert np.flatnonzero(comparison.rest_dominates).tolist() == [4, 5]
@@ -62,9 +49,10 @@ def direction_difference(comparison, joint):
     return apart[0], apart[-1]
 
 
-def test_error_depends_on_load_until_friction_grows_with_load(plain):
-    better = fitted(f"{PLAIN},load_friction:2+3")
-    test = load("excitation_14_harmonics")
+def test_error_depends_on_load_until_friction_grows_with_load():
+    plain = ur10e_fit(PLAIN)
+    better = ur10e_fit(f"{PLAIN},load_friction:2+3")
+    test = ur10e_run("excitation_14_harmonics")
     before, after = lieid.compare(plain, test), lieid.compare(better, test)
     for joint in (1, 2):
         small, large = direction_difference(before, joint)

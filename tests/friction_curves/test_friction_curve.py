@@ -221,10 +221,10 @@ def test_the_model_is_printed_and_written(tmp_path, capsys):
     content = json.loads((tmp_path / "f.json").read_text())
     assert content["joint"] == 1
     assert {"name", "joint", "value", "std", "unit"} == set(content["fit"]["parameters"][0])
-    assert len(content["full_curve"]["points"]) == len(content["fit"]["predicted"])
+    assert len(content["curve"]["points"]) == len(content["fit"]["predicted"])
     identified = replace(made_fit(ROBOT, ""), parameters=arm().parameters, processing=CUTOFF)
     identified.save(fit)
     assert main([*words, "--effects", "coulomb,viscous", "--fit", fit]) == 0
     content = json.loads((tmp_path / "f.json").read_text())
     assert content["fit"]["effects"] == ["coulomb", "viscous"]
-    assert content["full_curve"]["load_source"] == "model"
+    assert content["curve"]["load_source"] == "model"

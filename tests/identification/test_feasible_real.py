@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from real_arms import PANDA, TX40, UR10E, needs
+from real_arms import PANDA, TX40, UR10E, needs, ur10e_run
 
 import lieid_casadi as lieid
 from lieid_casadi.errors import NotDissipativeWarning
@@ -13,12 +13,9 @@ pytestmark = pytest.mark.real
 
 
 def ur10e():
-    runs = {
-        name: lieid.Recording.load(UR10E / f"excitation_{name}.csv.gz")
-        for name in ("30s", "50s", "14_harmonics")
-    }
+    *train, test = (ur10e_run(f"excitation_{name}") for name in ("30s", "50s", "14_harmonics"))
     robot = lieid.Robot.from_urdf(UR10E / "ur10e.urdf")
-    return robot, [runs["30s"], runs["50s"]], [runs["14_harmonics"]], Processing(cutoff=7.0)
+    return robot, train, [test], Processing(cutoff=7.0)
 
 
 def tx40():

@@ -162,10 +162,10 @@ def test_short_recordings_give_no_weights(fits):
 def test_command_samples_rivals_and_states_the_coverage(fits, unseen, tmp_path, capsys):
     for k, fit in enumerate(fits):
         fit.save(tmp_path / f"{k}.json")
-    unseen.save(tmp_path / "unseen.csv")
+    unseen.save(tmp_path / "test.csv")
     paths = [str(tmp_path / f"{k}.json") for k in range(3)]
     words = ["sample", paths[0], "-n", "8", "--rival", paths[1], "--rival", paths[2]]
-    words += ["--unseen", str(tmp_path / "unseen.csv"), "--json", str(tmp_path / "s.json")]
+    words += ["--test", str(tmp_path / "test.csv"), "--json", str(tmp_path / "s.json")]
     assert main([*words, "-o", str(tmp_path / "out")]) == 0
     shown = capsys.readouterr().out
     assert "90 % bands of the samples" in shown

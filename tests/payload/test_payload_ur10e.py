@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from real_arms import UR10E, needs
+from real_arms import UR10E, needs, ur10e_fit, ur10e_run
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -15,12 +14,9 @@ from lieid_casadi.robot.inertia import link_parameters
 TRAIN, RUN = ("excitation_30s", "excitation_50s"), "excitation_14_harmonics"
 pytestmark = needs(UR10E / f"{RUN}.csv.gz")
 CUTOFF = lieid.Processing(cutoff=7.0)
+EFFECTS = "coulomb,viscous,offset"
 MASS, COM = 5.0, np.array([0.02, 0.05, 0.1])
 GAINS = np.array([14.87, 13.26, 11.13, 10.62, 11.03, 11.47])  # as the source states them
-
-
-def load(name):
-    return lieid.Recording.load(UR10E / f"{name}.csv.gz")
 
 
 def with_body(robot, run):
@@ -36,19 +32,9 @@ def with_body(robot, run):
     return replace(run, tau=run.tau + np.column_stack(extra), source_hash="with a body")
 
 
-@pytest.fixture(scope="module")
-def robot():
-    return lieid.Robot.load(UR10E / "ur10e.urdf")
-
-
-@pytest.fixture(scope="module")
-def fit(robot):
-    model = lieid.Model(robot, "coulomb,viscous,offset")
-    return lieid.identify(model, [load(name) for name in TRAIN], processing=CUTOFF)
-
-
-def test_an_unloaded_run_has_no_significant_payload(fit):
-    found = lieid.identify_payload(fit, load(RUN))
+def test_an_unloaded_run_has_no_significant_payload():
+    fit = ur10e_fit(EFFECTS)
+    found = lieid.identify_payload(fit, ur10e_run(RUN))
     assert abs(found.mass) < 3.0 * found.mass_std
     assert found.mass_std < 0.1
     assert found.explained
@@ -56,23 +42,25 @@ def test_an_unloaded_run_has_no_significant_payload(fit):
     assert whitened @ whitened < 29.6  # chi-square of ten numbers, p = 0.001
 
 
-def test_a_body_added_to_measured_torque(fit, robot):
-    found = lieid.identify_payload(fit, with_body(robot, load(RUN)))
+def test_a_body_added_to_measured_torque():
+    fit = ur10e_fit(EFFECTS)
+    found = lieid.identify_payload(fit, with_body(fit.model.robot, ur10e_run(RUN)))
     assert abs(found.mass - MASS) < 3.0 * found.mass_std
     assert np.all(np.abs(found.com - COM) < 3.5 * found.com_std)
     assert np.all(found.com_std < 5e-3)
 
 
-def test_gains_from_measured_currents_and_a_body(robot):
+def test_gains_from_measured_currents_and_a_body():
     """Close to the gains stated with the recordings, which are themselves uncertain."""
+    robot = ur10e_fit(EFFECTS).model.robot
 
     def amperes(run):
         return replace(run, tau=None, current=run.tau / GAINS)
 
     found = lieid.drive_gains(
         robot,
-        [amperes(load(name)) for name in TRAIN],
-        amperes(with_body(robot, load(RUN))),
+        [amperes(ur10e_run(name)) for name in TRAIN],
+        amperes(with_body(robot, ur10e_run(RUN))),
         mass=MASS,
         processing=CUTOFF,
     )

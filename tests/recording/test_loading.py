@@ -1,3 +1,5 @@
+"""Files of recordings: what is saved is read back, parts, names of columns, large files."""
+
 import hashlib
 
 import numpy as np
@@ -8,7 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from recording.planar_arm import measured
 
-from lieid_casadi.errors import LargeFileWarning, OutputError, RecordingError
+from lieid_casadi.errors import (
+    ColumnNamesWarning,
+    LargeFileWarning,
+    OutputError,
+    RecordingError,
+    UnknownColumnWarning,
+)
 from lieid_casadi.recording import Recording, process
 from lieid_casadi.recording.readers import parquet_file
 
@@ -230,3 +238,151 @@ def test_a_part_is_read_at_its_full_rate(large):
     np.testing.assert_array_equal(part.t, made.cut(2.0, 3.5).t)
     np.testing.assert_array_equal(part.tau, made.cut(2.0, 3.5).tau)
     assert not part.warnings
+
+
+JOINTS = ["shoulder_pan_joint", "elbow_joint"]
+
+
+@pytest.fixture
+def rec():
+    return measured(duration=4.0, rate=50.0)
+
+
+def written(rec, folder, names, suffix="csv", **more):
+    """A file with columns under given names; {j} is the joint's number from 1, {k} from 0."""
+    columns = {}
+    for name, values in names.items():
+        for j in range(1 if values.ndim == 1 else rec.n):
+            column = name.format(j=j + 1, k=j, name=JOINTS[j])
+            columns[column] = values if values.ndim == 1 else values[:, j]
+    columns |= more
+    file = folder / f"run.{suffix}"
+    if suffix == "npz":
+        np.savez(file, **{name.replace("/", "."): x for name, x in columns.items()})
+    elif suffix == "parquet":
+        pa = pytest.importorskip("pyarrow")
+        pytest.importorskip("pyarrow.parquet").write_table(pa.table(columns), file)
+    else:
+        table = np.column_stack(list(columns.values()))
+        file.write_text(
+            ",".join(columns) + "\n" + "\n".join(",".join(map(repr, row)) for row in table.tolist())
+        )
+    return file
+
+
+def assert_signals(read, rec):
+    for field in ("t", "q", "dq", "tau"):
+        np.testing.assert_array_equal(getattr(read, field), getattr(rec, field))
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("time", "position_{j}", "velocity_{j}", "effort_{j}"),
+        ("timestamp", "actual_q_{k}", "actual_qd_{k}", "actual_torque_{k}"),
+        ("t", "q_{k}", "dq_{k}", "tau_J_{k}"),
+        ("time", "{name}/position", "{name}/velocity", "{name}/effort"),
+        ("t", "joint{j}Position", "joint{j}Velocity", "joint{j}Torque"),
+        ("__time", "/joint_states/{name}/position", "/states/{name}/velocity", "/{name}/effort"),
+        ("%time", "field.position{k}", "field.velocity{k}", "field.effort{k}"),
+    ],
+)
+def test_names_of_recorders_are_read_and_said(rec, tmp_path, names, suffix):
+    file = written(
+        rec, tmp_path, dict(zip(names, (rec.t, rec.q, rec.dq, rec.tau), strict=True)), suffix
+    )
+    read = Recording.load(file, joint_names=JOINTS)
+    assert_signals(read, rec)
+    (warning,) = read.warnings
+    assert isinstance(warning, ColumnNamesWarning)
+    assert "dq1 = " in str(warning)
+
+
+def test_units_of_the_format_behind_names(rec, tmp_path):
+    names = ("t [s]", "q{j} [rad]", "dq{j} (rad/s)", "tau{j} [Nm]")
+    signals = (rec.t, rec.q, rec.dq, rec.tau)
+    assert_signals(
+        Recording.load(written(rec, tmp_path, dict(zip(names, signals, strict=True)))), rec
+    )
+    other = {"t [s]": rec.t, "q{j} [deg]": rec.q}
+    with pytest.raises(RecordingError, match=r"--columns NAME=COLUMN"):
+        Recording.load(written(rec, tmp_path, other))
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("time", "position_{j}", "pos_{j}"),  # two columns for one signal
+        ("time", "position_{j}", "torque_{k}"),  # from 0 and from 1
+        ("time", "{name}_x", "{name}_y"),
+        ("when", "position_{j}", "effort_{j}"),
+    ],
+)
+def test_ambiguous_names_are_refused_with_the_option(rec, tmp_path, names):
+    file = written(rec, tmp_path, dict(zip(names, (rec.t, rec.q, rec.tau), strict=True)))
+    with pytest.raises(RecordingError, match=r"--columns NAME=COLUMN"):
+        Recording.load(file)
+
+
+def test_commanded_positions_and_other_signals(rec, tmp_path):
+    names = {"timestamp": rec.t, "actual_q_{k}": rec.q, "target_q_{k}": rec.q + 0.1}
+    names |= {"target_moment_{k}": rec.tau, "tau_ext_{k}": rec.tau}
+    read = Recording.load(written(rec, tmp_path, names))
+    np.testing.assert_array_equal(read.command, rec.q + 0.1)
+    assert read.tau is None
+    assert any(
+        isinstance(w, UnknownColumnWarning) and "target_moment_0" in str(w) for w in read.warnings
+    )
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
+@pytest.mark.parametrize(
+    "stated",
+    [
+        "t=stamp,q1=alpha,q2=beta,dq=w*,tau=m *x",
+        {"t": "stamp", "q1": "alpha", "q2": "beta", "dq": "w*", "tau1": "m 7x", "tau2": "m 12x"},
+    ],
+)
+def test_stated_columns(rec, tmp_path, suffix, stated):
+    more = {"alpha": rec.q[:, 0], "beta": rec.q[:, 1], "q1": rec.q[:, 1], "w10": rec.dq[:, 1]}
+    more |= {"w9": rec.dq[:, 0], "m 7x": rec.tau[:, 0], "m 12x": rec.tau[:, 1]}
+    read = Recording.load(written(rec, tmp_path, {"stamp": rec.t}, suffix, **more), columns=stated)
+    assert_signals(read, rec)
+    (warning,) = read.warnings
+    assert "q1 of the file" in str(warning)
+
+
+def test_stated_columns_of_data_frames_and_whole_arrays(rec, tmp_path):
+    pd = pytest.importorskip("pandas")
+    frame = pd.DataFrame({"s": rec.t, "a": rec.q[:, 0], "b": rec.q[:, 1]})
+    read = Recording.from_dataframe(frame, columns="t=s,q1=a,q2=b")
+    np.testing.assert_array_equal(read.q, rec.q)
+    np.savez(tmp_path / "run.npz", s=rec.t, angles=rec.q, velocity=rec.dq, effort=rec.tau)
+    read = Recording.load(tmp_path / "run.npz", columns="t=s,q=angles,dq=velocity,tau=effort")
+    assert_signals(read, rec)
+
+
+@pytest.mark.parametrize(
+    ("stated", "message"),
+    [
+        ("t=none", "no column 'none'"),
+        ("tau1", "found 'tau1=', expected NAME=COLUMN"),
+        ("torque=tau1", "found 'torque=tau1', expected NAME=COLUMN"),
+        ("q1=q1,q1=q2", "found q1 twice"),
+        ("q=*x", r"no column '\*x'"),
+    ],
+)
+def test_what_cannot_be_assigned_is_refused(rec, tmp_path, stated, message):
+    rec.save(tmp_path / "run.csv")
+    with pytest.raises(RecordingError, match=message):
+        Recording.load(tmp_path / "run.csv", columns=stated)
+
+
+def test_an_npz_has_the_names_of_a_csv_or_whole_arrays(rec, tmp_path):
+    written(rec, tmp_path, {"t": rec.t, "q{j}": rec.q, "dq{j}": rec.dq, "tau{j}": rec.tau}, "npz")
+    read = Recording.load(tmp_path / "run.npz")
+    assert_signals(read, rec)
+    assert not read.warnings
+    np.savez(tmp_path / "both.npz", t=rec.t, q=rec.q, dq1=rec.dq[:, 0], dq2=rec.dq[:, 1])
+    np.testing.assert_array_equal(Recording.load(tmp_path / "both.npz").dq, rec.dq)
