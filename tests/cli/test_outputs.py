@@ -94,7 +94,7 @@ def test_a_missing_permission_is_status_2(work, run, monkeypatch, output):
 
 
 def test_a_closed_reader_of_stdout_is_no_error():
-    lieid = f"{sys.executable} -m lieid_casadi.cli.main show panda"
+    lieid = f"{sys.executable} -m lieid_casadi.cli.main show two_link"
     command = f"{lieid} | head -1; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.returncode == 0

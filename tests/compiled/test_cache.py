@@ -60,6 +60,7 @@ def test_another_robot_or_instruction_set_is_another_library(fresh_process):
     assert len(libraries(fresh_process)) >= 3
 
 
+@pytest.mark.slow
 def test_two_processes_may_compile_at_once(tmp_path):
     script = (
         "import numpy as np, lieid_casadi as lieid\n"

@@ -31,8 +31,31 @@ def words(tmp_path):
     ]  # fmt: skip
 
 
-def test_runs_until_the_effect_is_named(words, tmp_path, capsys, monkeypatch):
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_a_motion_is_shown_then_fails_then_is_run_until_the_effect_is_named(
+    words, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setenv("PYTHONPATH", str(PROGRAM.parents[2]))
+    monkeypatch.setattr(sys, "stdin", Terminal("n\n"))
+    assert main([*words, "--record", RECORD]) == 3
+    shown = capsys.readouterr()
+    assert "The robot moves for 8 s along" in shown.out
+    assert "Not checked: " in shown.out
+    assert "Run it on the robot?" in shown.out
+    assert "not confirmed" in shown.err
+    assert not (tmp_path / "out" / "round-1" / "recording.csv").exists()
+    fails = f"'{sys.executable}' -c 'raise SystemExit(5)' {{trajectory}} {{recording}}"
+    assert main([*words, "--record", fails, "--yes"]) == 3
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "status 5" in error
+    assert (tmp_path / "out" / "round-1" / "trajectory.csv").exists()
+    state = json.loads((tmp_path / "out" / "experiment.json").read_text())
+    assert state["stopped"] == "record_failed"
     files = ["--json", str(tmp_path / "out.json"), "--html", str(tmp_path / "out.html")]
     assert main([*words, "--record", RECORD, "--yes", *files]) == 0
     shown = capsys.readouterr()
@@ -58,32 +81,6 @@ def test_resumes_after_kill_9_while_the_robot_moves(words, tmp_path, monkeypatch
     content = json.loads((tmp_path / "out" / "experiment.json").read_text())
     assert content["stopped"] == "all_named"
     assert [each["recording"] for each in content["rounds"]] == [None, "round-1/recording.csv"]
-
-
-def test_a_failed_command_has_status_3_and_keeps_the_round(words, tmp_path, capsys):
-    record = f"'{sys.executable}' -c 'raise SystemExit(5)' {{trajectory}} {{recording}}"
-    assert main([*words, "--record", record, "--yes"]) == 3
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "status 5" in error
-    assert (tmp_path / "out" / "round-1" / "trajectory.csv").exists()
-    state = json.loads((tmp_path / "out" / "experiment.json").read_text())
-    assert state["stopped"] == "record_failed"
-
-
-def test_a_motion_is_shown_before_it_is_run(words, tmp_path, capsys, monkeypatch):
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
-    monkeypatch.setattr(sys, "stdin", Terminal("n\n"))
-    assert main([*words, "--record", RECORD]) == 3
-    shown = capsys.readouterr()
-    assert "The robot moves for 8 s along" in shown.out
-    assert "Not checked: " in shown.out
-    assert "Run it on the robot?" in shown.out
-    assert "not confirmed" in shown.err
-    assert not (tmp_path / "out" / "round-1" / "recording.csv").exists()
 
 
 COPY = "import sys, shutil; shutil.copy(sys.argv[1], sys.argv[2])"
