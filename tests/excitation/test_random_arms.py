@@ -1,11 +1,10 @@
-"""What a design lists as checked holds on random arms, by Pinocchio's kinematics of the URDF.
+"""What a design lists as checked holds on random arms, by kinematics written here from the URDF.
 
 The arms have revolute, continuous and prismatic joints, shapes on some links only, links of zero
 length, frames beyond the tip, and limits with one bound or none.
 """
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from scipy.spatial.distance import cdist
 
@@ -101,26 +100,32 @@ class Arm:
         )
 
     def frames(self, q):
-        """Rotations and origins of the base, all links and the frames beyond, along (N, n)."""
-        model = pin.buildModelFromXML(self.urdf)
-        data, placed = model.createData(), []
-        names = [*(f"link{k}" for k in range(self.n + 1)), "tip", "tool0"]
-        ids = [model.getFrameId(name, pin.FrameType.BODY) for name in names]
-        for row in q:
-            turns = [
-                [np.cos(x), np.sin(x)] if kind == "continuous" else [x]
-                for x, kind in zip(row, self.kinds, strict=True)
-            ]
-            pin.framesForwardKinematics(model, data, np.concatenate(turns))
-            placed.append([data.oMf[k].homogeneous for k in ids])
-        poses = np.array(placed).transpose(1, 0, 2, 3)
-        return [(pose[:, :3, :3], pose[:, :3, 3]) for pose in poses]
+        """Rotations and origins of all links along positions (N, n)."""
+        count = len(q)
+        rotation, origin = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3))
+        placed = [(rotation, origin)]
+        for k in range(self.n):
+            origin = origin + rotation @ self.steps[k]
+            if self.kinds[k] == "prismatic":
+                origin = origin + q[:, k : k + 1] * (rotation @ self.axes[k])
+            else:
+                rotation = rotation @ turned(self.axes[k], q[:, k])
+            placed.append((rotation, origin))
+        return placed
 
     def cloud(self, k):
         """Points of a link: on its shape, or on the line to the next joint."""
         if self.shapes[k] is not None:
             return self.shapes[k][0]
         return np.linspace(0.0, 1.0, 9)[:, None] * self.steps[k]
+
+
+def turned(axis, angle):
+    """Rodrigues' formula for a unit axis and angles (N,)."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
 
 
 def text(values):
@@ -155,7 +160,7 @@ def verify(arm, found):
     placed = arm.frames(motion.q)
     clouds = [
         np.einsum("kab,pb->kpa", rotation[::10], arm.cloud(k)) + origin[::10, None]
-        for k, (rotation, origin) in enumerate(placed[: arm.n + 1])
+        for k, (rotation, origin) in enumerate(placed)
     ]
     links = ["the base", *(f"link {k}" for k in range(1, arm.n + 1))]
     above, not_above = (listed(x, "floor") for x in (found.checked, found.unchecked))
@@ -171,7 +176,9 @@ def verify(arm, found):
         if pair in apart and arm.shapes[i] is not None and arm.shapes[j] is not None:
             near = zip(clouds[i][::5], clouds[j][::5], strict=True)
             assert min(cdist(a, b).min() for a, b in near) >= CLEARANCE - 1e-4
-    for _, path in placed[-2:]:
+    rotation, origin = placed[-1]
+    for point in (arm.steps[-1], arm.steps[-1] + arm.beyond):
+        path = origin + rotation @ point
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() * 500.0 <= 1.001 * SPEED
     shapeless = {links[k] for k in range(1, arm.n + 1) if arm.shapes[k] is None}
     assert listed(found.unchecked, "shapes") >= shapeless
