@@ -140,7 +140,7 @@ def test_a_start_pose_in_collision_is_refused_before_the_search():
 
 
 def test_interrupt_before_anything_is_feasible():
-    """`test_excite_command` interrupts a design that has a feasible motion."""
+    """`test_interrupt_keeps_the_trajectory` interrupts a design that has a feasible motion."""
 
     def progress(stage, fraction):
         raise KeyboardInterrupt
