@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -70,6 +71,27 @@ def figures(value: float | None, *, digits: int = 3, sign: str = "") -> str:
         exponent = int(f"{value:.{digits - 1}e}".partition("e")[2])
         return f"{value:{sign}.{max(0, digits - 1 - exponent)}f}"
     return f"{value:{sign}.{digits - 1}e}"
+
+
+def value_text(value: float, std: float | None) -> str:
+    """Return a value to the second digit of its standard deviation.
+
+    Examples
+    --------
+    >>> value_text(12.3456, 0.021)
+    '12.346'
+    >>> value_text(12.3456, None)
+    '12.35'
+    """
+    if not std or not math.isfinite(std):
+        return f"{value:.4g}"
+    decimals = 1 - math.floor(math.log10(std))
+    return f"{value:z.{decimals}f}" if 0 <= decimals <= 8 else f"{value:.4g}"
+
+
+def std_text(std: float | None) -> str | None:
+    """Return a standard deviation with two digits."""
+    return None if std is None else f"{std:#.2g}".rstrip(".")
 
 
 def html(*parts: str | Table) -> str:

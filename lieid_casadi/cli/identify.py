@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import LieidWarning, UsageError
-from lieid_casadi.tables import Table, make_table
+from lieid_casadi.tables import Table, figures, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.comparison import Comparison
@@ -117,21 +117,21 @@ def shown(fit: Fit, comparison: Comparison | None) -> Iterator[str | Table | Lie
     """Yield errors per joint, parameters and warnings."""
     from lieid_casadi.identification.fit import parameter_table
 
-    columns, values = ["joint"], list[tuple[float, ...]]()
+    columns, values = ["joint"], list[Iterable[object]]()
     if comparison is None:
         columns += ["cross-validated, in motion", "train", "train raw"]
-        values += zip(fit.rms_cv, fit.rms_train, fit.rms_train_raw, strict=True)
+        values += [map(figures, fit.rms_cv)]
     else:
         test = comparison
         columns += ["test in motion", "% of torque", "at rest", "test", "test raw", "correlation"]
         columns += ["train", "train raw"]
-        relative = 100.0 * test.relative_rms_moving
-        tested = (test.rms_moving, relative, test.rms_at_rest, test.rms, test.rms_raw)
-        values += zip(*tested, test.correlation, fit.rms_train, fit.rms_train_raw, strict=True)
-    rows = [
-        [f"{j + 1} {joint.name}", *map(float, own)]
-        for j, (joint, own) in enumerate(zip(fit.model.robot.joints, values, strict=True))
-    ]
+        relative = (100.0 * test.relative_rms_moving).tolist()
+        values += [map(figures, test.rms_moving), relative]
+        values += [map(figures, x) for x in (test.rms_at_rest, test.rms, test.rms_raw)]
+        values += [test.correlation.tolist()]
+    values += [map(figures, x) for x in (fit.rms_train, fit.rms_train_raw)]
+    names = (f"{j} {joint.name}" for j, joint in enumerate(fit.model.robot.joints, start=1))
+    rows = zip(names, *values, strict=True)
     filter_ = f"low-pass {fit.processing.cutoff:.3g} Hz on measured and predicted torque"
     yield make_table(f"RMS error, N·m ({filter_})", columns, rows)
     yield parameter_table(fit)

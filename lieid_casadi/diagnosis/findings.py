@@ -8,6 +8,7 @@ import numpy as np
 
 from lieid_casadi.diagnosis.step import Difference, Step, Unexplained
 from lieid_casadi.effects.registry import REGISTER, make
+from lieid_casadi.tables import std_text, value_text
 
 MOST_RIVALS = 3  # named in a sentence; the JSON has all
 MOST_LISTED = 3  # values in a list; of more the range is stated
@@ -104,9 +105,10 @@ def _sizes(steps: Sequence[Step]) -> list[str]:
         if not all(name in step.parameters for step in steps):
             continue
         values = [factor * step.parameters[name] for step in steps]
+        deviations = [factor * step.std[name] for step in steps]
         shown = [
-            f"{number(value)} ± {number(factor * step.std[name])}"
-            for value, step in zip(values, steps, strict=True)
+            f"{value_text(value, std)} ± {std_text(std)}".replace("-", "−")
+            for value, std in zip(values, deviations, strict=True)
         ]
         value = f"{_listed(shown, values)} {unit}".rstrip()
         texts.append(value if len(first.units) == 1 else f"{name} = {value}")

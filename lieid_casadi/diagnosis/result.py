@@ -32,7 +32,7 @@ from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import numbers_or_none
-from lieid_casadi.tables import Table, html, make_table
+from lieid_casadi.tables import Table, figures, html, make_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -198,7 +198,7 @@ class Diagnosis:
             *(f"+ {step.label}" for step in self.steps),
         ]
         rows: list[list[object]] = [
-            [name, *map(float, values)] for name, values in zip(names, errors, strict=True)
+            [name, *map(figures, values)] for name, values in zip(names, errors, strict=True)
         ]
         reference, values = self.reference
         source = SOURCES[self.noise_source]
@@ -209,7 +209,7 @@ class Diagnosis:
         if self.expected is not None:
             source, note = "held-out error of the fit", "The model is kept."
         if self.expected is not None or np.any(values < SAME * errors[-1]):
-            rows.append([reference, *map(float, values)])
+            rows.append([reference, *map(figures, values)])
         else:
             reference = "last row"  # the noise floor would repeat its numbers
         about = f"; {reference}: {source}" if np.isfinite(values).any() else ""
@@ -240,10 +240,10 @@ def evidence_table(d: Diagnosis) -> Table:
         "status": [step.status.replace("_", " ") for step in steps],
         f"{error}, N·m": [_errors(step) for step in steps],
         "falls by": [percent(step.part) for step in steps],
-        "on the test by, N·m": [step.fall.test for step in steps],
+        "on the test by, N·m": [figures(step.fall.test) for step in steps],
         "motion, deg": [_degrees(step) for step in steps],
         "of torque": [percent(step.share) for step in steps],
-        "gain / its error": [step.evidence.deviations for step in steps],
+        "gain / its error": [figures(step.evidence.deviations, digits=2) for step in steps],
         "selected": [percent(step.evidence.selected) for step in steps],
         "fits as well": [_rival_text(step) for step in steps],
     }

@@ -13,7 +13,7 @@ from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.payload.body import NAMES, UNITS
-from lieid_casadi.tables import Table, html, make_table
+from lieid_casadi.tables import Table, figures, html, make_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -223,7 +223,7 @@ def error_table(payload: PayloadEstimate) -> Table:
         f"RMS error in motion, N·m (low-pass {payload.cutoff:.3g} Hz)",
         ("joint", "fit alone", "with the payload", "held-out error of the fit"),
         [
-            (f"{j + 1} {name}", *(float(column[j]) for column in columns))
+            (f"{j + 1} {name}", *(figures(column[j]) for column in columns))
             for j, name in enumerate(payload.joint_names)
         ],
     )

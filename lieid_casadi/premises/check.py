@@ -485,7 +485,11 @@ def _unseen(state: _State) -> tuple[tuple[str, str], ...]:
         },
     }
     return tuple(
-        (premise, f"{what} of {joints_text(mask)} would change no error beyond the stated masses'")
+        (
+            premise,
+            f"{what} of {joints_text(mask)} would change the error no more than inexact stated "
+            "masses do",
+        )
         for (premise, what), mask in masks.items()
         if any(mask)
     )

@@ -35,7 +35,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.payload.estimate import not_identified
 from lieid_casadi.report.page import Section, picture_section, render, table_section
-from lieid_casadi.tables import Table, figures, make_table
+from lieid_casadi.tables import Table, figures, make_table, std_text, value_text
 
 if TYPE_CHECKING:
     from lieid_casadi.diagnosis import Diagnosis
@@ -183,12 +183,16 @@ def extension_tables(extension: Extension) -> tuple[Table, Table]:
         for pair in pairs:
             before, after = float(pair[0][j]), float(pair[1][j])
             change = 100.0 * (after / before - 1.0)
-            row += [before, after, None if math.isnan(change) else f"{change:+.1f}"]
+            row += [figures(before), figures(after)]
+            row.append(None if math.isnan(change) else f"{change:+.1f}")
         rows.append(row)
     parameters = make_table(
         "New parameters",
         ["parameter", "value", "std", "unit"],
-        [[r["expression"], r["value"], r["std"], r["unit"]] for r in extension.parameters],
+        [
+            [r["expression"], value_text(r["value"], r["std"]), std_text(r["std"]), r["unit"]]
+            for r in extension.parameters
+        ],
     )
     errors = make_table(f"RMS error, N·m, with {', '.join(extension.added)}", columns, rows)
     return errors, parameters
@@ -196,15 +200,27 @@ def extension_tables(extension: Extension) -> tuple[Table, Table]:
 
 def premises_report(robot: Robot, found: PremiseCheck) -> str:
     """Return the HTML report of a check of premises."""
-    reasons = [f"Not checked: {premise} ({why})." for premise, why in found.not_checkable]
     sentences = [found.sentence, *(finding.sentence for finding in found.findings)]
     remedies = [(f.premise, f.remedy) for f in found.findings if f.remedy]
+    wrong = {finding.premise for finding in found.findings}
+    results: dict[str, list[str]] = {}
+    for name in found.checked:
+        results[name] = ["see above" if name in wrong else "nothing wrong was found"]
+    for name, why in found.not_checkable:
+        results.setdefault(name, []).append(f"not checked: {why}")
+    rows = [(name, "; ".join(results[name])) for name in sorted(results)]
+    use = [("fit a model", "lieid identify ROBOT REC -o fit.json")] if not wrong else []
     return render(
         f"{robot.name}: premises",
         [
             table_section("", found.table, sentences=sentences, titles=True),
             *([table_section("What corrects it", facts=remedies)] if remedies else []),
-            table_section("Tested", notes=[", ".join(found.checked) or "nothing", *reasons]),
+            *_next_commands(use),
+            table_section(
+                "Tested",
+                make_table("", ("premise", "result"), rows),
+                text={"premise", "result"},
+            ),
         ],
     )
 
@@ -283,22 +299,6 @@ def anchors(labels: Iterable[str]) -> dict[str, str]:
     return {label: f"effect-{label.replace('/', '-')}" for label in labels if label in REGISTER}
 
 
-def value_text(value: float, std: float | None) -> str:
-    """Return a value to the second digit of its standard deviation.
-
-    Examples
-    --------
-    >>> value_text(12.3456, 0.021)
-    '12.346'
-    >>> value_text(12.3456, None)
-    '12.35'
-    """
-    if not std:
-        return f"{value:.4g}"
-    decimals = 1 - math.floor(math.log10(std))
-    return f"{value:z.{decimals}f}" if 0 <= decimals <= 8 else f"{value:.4g}"
-
-
 def _warnings(warnings: Sequence[LieidWarning], of_fit: Sequence[LieidWarning] = ()) -> Section:
     """Return the warnings of a result, and those of the fit that it uses."""
     groups = [
@@ -350,7 +350,7 @@ def _parameters(title: str, rows: list[dict[str, Any]], *, folded: bool = False)
             str(row["joint"]),
             row["name"],
             value_text(row["value"], row["std"]),
-            None if row["std"] is None else f"{row['std']:#.2g}".rstrip("."),
+            std_text(row["std"]),
             row["unit"],
             _meaning(row),
         )
@@ -416,11 +416,11 @@ def _payload(payload: PayloadEstimate) -> Section:
 
 def _payload_row(row: dict[str, Any]) -> tuple[object, ...]:
     value, std, interval = row["value"], row["std"], row["interval"] or (None, None)
-    ends = [None if end is None else f"{end:.4g}" for end in interval]
+    ends = [None if end is None else value_text(end, std) for end in interval]
     return (
         row["name"],
         None if value is None else value_text(value, std),
-        None if std is None else f"{std:.2g}",
+        std_text(std),
         *ends,
         row["unit"],
     )

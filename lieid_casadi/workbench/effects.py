@@ -257,17 +257,17 @@ class FindingsView(View):
         self._all.set_visibility(bool(missing) and not searching)
         if self.is_new(found, present, searching):
             shown = None if searching else found
-            self._list.show(*(_findings(shown, present) if shown else ()))
+            self._list.show(*(_findings(shown, session.error_name, present) if shown else ()))
 
 
-def _findings(found: FoundEffects, present: tuple[str, ...]) -> list[Markup]:
+def _findings(found: FoundEffects, kind: str, present: tuple[str, ...]) -> list[Markup]:
     shown = []
     for group in dict.fromkeys(p.group for p in found.proposed):
         several = found.groups.get(group, [])
         if any(p.label not in present for p in several):
             shown.append(_group_row(group, several))
         for proposed in (p for p in found.proposed if p.group == group):
-            shown.append(_finding(proposed, present=proposed.label in present))
+            shown.append(_finding(proposed, kind, present=proposed.label in present))
             if proposed.rivals:
                 shown.append(_rivals(proposed))
     return shown + [cut_part("value muted", sentence) for sentence in found.unexplained]
@@ -284,8 +284,8 @@ def _group_row(group: int, members: list[ProposedEffect]) -> Markup:
     )  # fmt: skip
 
 
-def _finding(proposed: ProposedEffect, *, present: bool) -> Markup:
-    """Return a proposal in one line; a click adds it."""
+def _finding(proposed: ProposedEffect, kind: str, *, present: bool) -> Markup:
+    """Return a proposal in one line, with its errors of a ``kind``; a click adds it."""
     label, before, after = proposed.label, proposed.before, proposed.after
     shown = [
         part("strong", label),
@@ -298,7 +298,7 @@ def _finding(proposed: ProposedEffect, *, present: bool) -> Markup:
     ]  # fmt: skip
     if before and after is not None:
         change = f"{100.0 * (after / before - 1.0):+.0f} %"
-        errors = f"{figures(before)} → {figures(after)} N·m ({change})"
+        errors = f"{kind} {figures(before)} → {figures(after)} N·m ({change})"
         tip = "unseen error of the joint: with all that was found but this, and with all"
         shown.append(part("number", errors, tip=tip))
     action = "" if present else f"effect {label}"

@@ -18,8 +18,8 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, process
-from lieid_casadi.report.reports import diagnosis_summary, value_text
-from lieid_casadi.tables import Table, make_table
+from lieid_casadi.report.reports import diagnosis_summary
+from lieid_casadi.tables import Table, figures, make_table, std_text, value_text
 from lieid_casadi.workbench.arm import ArmMesh, arm_meshes
 from lieid_casadi.workbench.session import FoundEffects, ProposedEffect, Session, StepErrors
 
@@ -149,7 +149,12 @@ def difference_tables(
     models = [f"model {position + 1}", f"model {session.position + 1}"]
     errors = zip(*(each.errors.shown for each in evaluations), strict=True)
     rows = [
-        [j, a, b, f"{100.0 * (b / a - 1.0):+.0f} %" if a and b is not None else None]
+        [
+            j,
+            figures(a),
+            figures(b),
+            f"{100.0 * (b / a - 1.0):+.0f} %" if a and b is not None else None,
+        ]
         for j, (a, b) in enumerate(errors, start=1)
     ]
     values: dict[str, list[str]] = {}
@@ -193,7 +198,7 @@ def parameter_text(name: str, value: float, std: float | None, unit: str) -> str
     >>> parameter_text("f_c", 17.552, 0.853, "N·m"), parameter_text("g", 0.02, None, "1")
     ('f_c = 17.55 ± 0.85 N·m', 'g = 0.02')
     """
-    deviation = "" if std is None else f" ± {std:.2g}"
+    deviation = "" if std is None else f" ± {std_text(std)}"
     return f"{name} = {value_text(value, std)}{deviation}{'' if unit in ('', '1') else ' ' + unit}"
 
 

@@ -81,7 +81,7 @@ class JointsView(View):
         colour = ratio_colour(None)
         if errors is not None:
             error = f"{figures(errors.shown[j])} {opened.units[j]}"
-            noise = f"noise {figures(errors.noise_floor[j], digits=2)}"
+            noise = f"noise {figures(errors.noise_floor[j])}"
             over, percent = ratio(errors.shown[j], errors.noise_floor[j]), errors.fit_percent(j)
             multiple = "" if over is None else f"{over:.1f} ×"
             fit = "" if percent is None else f"{percent:.1f} % fit"

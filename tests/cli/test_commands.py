@@ -10,6 +10,7 @@ from comparison import two_link_data as arm
 
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
+from lieid_casadi.tables import figures
 
 IDENTIFY_KEYS = {
     "rms_train", "rms_test", "correlation_test", "rms_train_raw", "rms_test_raw", "cutoff",
@@ -46,6 +47,9 @@ def test_identify_writes_fit_json_and_report(runs, tmp_path, capsys):
     assert "rms_cv" not in content
     assert len(content["rms_test"]) == len(content["correlation_test"]) == 2
     assert min(content["correlation_test"]) > 0.99
+    errors = [line.split()[2] for line in captured.out.splitlines() if line[2:3] in ("1", "2")][:2]
+    moving = lieid.compare(lieid.Fit.load(fit), lieid.Recording.load(runs[1])).rms_moving
+    assert errors == [figures(x) for x in moving]  # the digits that `compare` and the page show
     assert {"name", "joint", "value", "std", "unit"} <= content["parameters"][0].keys()
     assert {p["joint"] for p in content["parameters"]} == {1, 2}
     assert report.read_text().startswith("<!DOCTYPE html>")

@@ -23,6 +23,7 @@ from lieid_casadi.errors import (
     UnidentifiableWarning,
 )
 from lieid_casadi.recording import process
+from lieid_casadi.tables import std_text, value_text
 
 ROBOT = lieid.robots.two_link()
 MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
@@ -100,7 +101,7 @@ def test_every_number_of_a_step_is_that_of_the_final_fit():
     assert step.fall.cv == pytest.approx(fall, rel=2e-2)
     unseen = [lieid.compare(fit, test).rms_moving[0] for fit in (without, diagnosis.fit)]
     assert step.fall.test == pytest.approx(unseen[0] - unseen[1], rel=2e-2)
-    value, std = (f"{x:.3g}" for x in (row["value"], row["std"]))
+    value, std = value_text(row["value"], row["std"]), std_text(row["std"])  # as in its table
     assert f"(load_friction: {value} ± {std} N·m per N·m; " in diagnosis.sentence
 
 

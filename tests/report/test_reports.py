@@ -19,6 +19,8 @@ from lieid_casadi.report import (
     render,
 )
 from lieid_casadi.report.page import table_section
+from lieid_casadi.report.reports import extension_tables
+from lieid_casadi.tables import figures, value_text
 
 EVIL = "<script>alert(1)</script>"
 FETCHING = {"src", "href", "srcset", "data", "action", "poster", "background", "xlink:href"}
@@ -126,16 +128,28 @@ def test_every_table_can_be_saved_as_csv(page, comparison):
 def test_an_extended_fit_and_premises_have_reports(fit):
     _, q, _, _ = arm.motion(12.0, seed=3)
     train = arm.recording(12.0, seed=3, noise=0.1, extra=2.0 * q, name="train")
-    page = Page(extension_report(extend(fit, "position_spring", train)))
+    extension = extend(fit, "position_spring", train)
+    page = Page(extension_report(extension))
     text = " ".join(page.text)
     assert "On unseen motion the error" in text
     assert "New parameters" in text
+    # one number has the same digits in every table
+    (row, *_), (parameter, *_) = (table.cells for table in extension_tables(extension))
+    assert row[1:3] == [figures(errors[0]) for errors in extension.held_out]
+    (own,) = {text for text in page.text if text == parameter[1]}
+    assert own == value_text(*(extension.parameters[0][k] for k in ("value", "std")))
     turned = replace(train, tau=-train.tau)
     found = lieid.check(fit.model.robot, turned)
     text = " ".join(Page(premises_report(fit.model.robot, found)).text)
     assert found.findings
     assert found.findings[0].sentence in text
     assert found.findings[0].remedy in text
+    text = " ".join(
+        Page(premises_report(fit.model.robot, lieid.check(fit.model.robot, train))).text
+    )
+    for premise, why in lieid.check(fit.model.robot, train).not_checkable:
+        assert premise in text
+        assert f"not checked: {why}" in text
 
 
 def test_effects_are_described_from_their_definitions(page, fit):

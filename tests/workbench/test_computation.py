@@ -14,10 +14,13 @@ from workbench.two_link_files import write_recordings
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import build_parser, main
 from lieid_casadi.cli.workbench import inputs_of, load_robot, read_recordings
+from lieid_casadi.comparison.comparison import error_table
 from lieid_casadi.errors import UsageError
+from lieid_casadi.tables import figures
 from lieid_casadi.workbench.arm import TRIANGLE, arm_meshes, stl_bytes
 from lieid_casadi.workbench.commands import shell_lines
 from lieid_casadi.workbench.computation import Computation
+from lieid_casadi.workbench.evaluation import difference_tables
 from lieid_casadi.workbench.session import (
     RecordingInput,
     Session,
@@ -163,6 +166,12 @@ def test_the_search_proposes_what_diagnose_finds(computation, first, two_link_fi
     test = lieid.Recording.load(two_link_files[1])
     assert shown.errors.shown == tuple(lieid.compare(lieid.Fit.load(path), test).rms_moving)
     assert computation.save(step, kind="fit", report=ignored) == ("fit.json", content)
+    # the digits of every view of an error
+    begun, number = evaluate(computation, first), figures(shown.errors.shown[0])
+    session = first.with_effects("all", found.model)
+    table, _ = difference_tables(session, 0, (begun, shown), None)
+    assert table.cells[0][:3] == ["1", figures(begun.errors.shown[0]), number]
+    assert error_table(lieid.compare(lieid.Fit.load(path), test)).cells[0][1] == number
 
 
 def test_meshes_of_a_urdf_are_found_beside_it(tmp_path):
