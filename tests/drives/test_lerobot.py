@@ -104,12 +104,3 @@ def test_refusals(tmp_path):
     (folder / "meta" / "info.json").write_text("{}")
     with pytest.raises(RecordingError, match="not the description of a LeRobot dataset"):
         load(folder)
-
-
-def test_damaged_files_are_one_error(tmp_path):
-    file = write(tmp_path / "set") / "data" / "chunk-000" / "file-000.parquet"
-    content = file.read_bytes()
-    for end in (0, 10, len(content) // 2, len(content) - 3):
-        file.write_bytes(content[:end])
-        with pytest.raises(RecordingError):
-            load(tmp_path / "set")
