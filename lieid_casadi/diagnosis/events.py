@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from lieid_casadi.diagnosis.transients import Event, transient_events
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
-from lieid_casadi.errors import HeldJointWarning, IdentificationError, RecordingError
+from lieid_casadi.errors import (
+    HeldJointWarning,
+    IdentificationError,
+    NoSolution,
+    RecordingError,
+)
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
 from lieid_casadi.identification.prediction import relative_temperature, torque_along
@@ -139,7 +144,7 @@ def with_brief_effects(
         try:
             model = fit.model.with_effect(effect)
             fit = identify(model, recordings, method=method, processing=fit.processing)
-        except IdentificationError:
+        except (IdentificationError, NoSolution):
             continue
     return fit
 

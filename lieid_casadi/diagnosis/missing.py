@@ -51,6 +51,7 @@ from lieid_casadi.recording import Recording, process
 
 Report = Callable[[str, float], None]
 CONTAINED = 0.1  # part of an effect's torque that a smooth function can take over
+OF_LIMIT = 0.5  # of a joint's error, below which a limit that is searched for first must lower it
 ROUNDS = 2  # of search and fit; the second one adds what the first fit hid
 
 
@@ -165,7 +166,7 @@ class MissingEffects:
         accepted, rounds = list[Accepted](), 0
         if any(_is_limit(c) for c in rows.columns.owners):
             found = search(rows, self.options, wanted=_is_limit)
-            fit, accepted = self._plausible(self._accepted(found, accepted))
+            fit, accepted = self._limits(self._accepted(found, accepted))
             if accepted:
                 rows = self._beside(fit, rows)
         while True:
@@ -213,6 +214,24 @@ class MissingEffects:
         for columns in self.apart:
             rows = rows.with_apart(columns)
         return rows
+
+    def _limits(self, found: list[Accepted]) -> tuple[Fit, list[Accepted]]:
+        """Return the fit with the limits that explain most of their joint's error, and these.
+
+        Others compete with all effects, unless the error of the fit is higher with them: below a
+        limit that acts nearly always no torque is left to be explained.
+        """
+        while True:
+            fit, found = self._plausible(found)
+            part = fit.rms_cv / self.first.rms_cv
+            kept = [a for a in found if part[a.joint] < OF_LIMIT]
+            if len(kept) == len(found):
+                return fit, kept
+            for limit in (a for a in found if part[a.joint] >= 1.0):
+                label = limit.placement.label
+                self.rejected[label] = "in a fit with it the held-out error is higher"
+                self.refused.add(label)
+            found = kept
 
     def _final(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
         """Return the fit with all effects that the final model needs, and these effects."""
