@@ -11,7 +11,7 @@ from drives.commanded import LAWS, TWO_LINK, commanded, measured
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import missing
+from lieid_casadi.diagnosis import events, missing
 from lieid_casadi.diagnosis.motion import UnseenMotion
 from lieid_casadi.diagnosis.result import motion_table
 from lieid_casadi.diagnosis.step import MotionGain
@@ -165,6 +165,18 @@ def test_delays_of_coarse_positions_and_soft_friction(monkeypatch):
     altered = so101.altered_model()
     dry = [named["coulomb.f_c", j] for j in range(1, 7)]
     np.testing.assert_allclose(dry, altered.dof_frictionloss, rtol=0.07)
+
+
+def test_transients_are_judged_by_fits_that_have_a_solution(runs, monkeypatch):
+    recording = with_torque(runs[0])
+    fit = lieid.identify(lieid.Model(ROBOT, BASE), recording, processing=CUTOFF)
+
+    def fails(*args, **options):
+        raise NoSolution("no physically consistent parameters")
+
+    monkeypatch.setattr(events, "transient_events", lambda *args: ("a transient",))
+    monkeypatch.setattr(events, "identify", fails)
+    assert events.with_brief_effects(fit, [recording], "feasible") is fit
 
 
 @pytest.mark.slow
