@@ -69,26 +69,28 @@ def purposes(
         text = ", ".join(joint for (joint,) in groups)
         why = f"No effect of the library describes the error of {text} over {', '.join(signals)}."
         found.append(Purpose("range", groups, signals, why))
-    needed = {step.label: 0.0 for step in diagnosis.steps if _may_be_decided(step)}
-    needed |= {
-        label: seconds
+    options = DiagnosisOptions()
+    doubtful = {s.label: s.evidence.deviations for s in diagnosis.steps if _may_be_decided(s)}
+    doubtful |= {
+        label: deviations
         for label, deviations in diagnosis.undecided
-        if (seconds := seconds_to_decide(deviations, recorded)) <= left
+        if seconds_until(options.gain_deviations, deviations, recorded) <= left
     }
-    if groups := new("evidence", [(label,) for label in needed]):
+    if groups := new("evidence", [(label,) for label in doubtful]):
         text = ", ".join(label for (label,) in groups)
         why = f"The recordings do not suffice to be certain of {text}."
-        seconds = max(needed[label] for (label,) in groups)
+        least = min(doubtful[label] for (label,) in groups)
+        seconds = min(seconds_until(options.name_deviations, least, recorded), left)
         found.append(Purpose("evidence", groups, why=why, seconds=seconds))
     return found
 
 
-def seconds_to_decide(deviations: float, recorded: float) -> float:
-    """Return the further time, s, after which the gain of an effect should be certain.
+def seconds_until(wanted: float, deviations: float, recorded: float) -> float:
+    """Return the further time, s, after which a gain should have the wanted standard errors.
 
     A mean gain in its standard errors grows with the root of the time.
     """
-    return recorded * ((DiagnosisOptions().gain_deviations / deviations) ** 2 - 1.0)
+    return recorded * max((wanted / deviations) ** 2 - 1.0, 0.0)
 
 
 def _may_be_decided(step: Step) -> bool:

@@ -209,12 +209,14 @@ def design():
 
 
 def test_an_effect_that_the_held_out_parts_do_not_decide_is_open(ambiguous):
-    """The gain of 10 s is 1.6 of its standard errors: 15.6 s should show two of them."""
+    """The gain of 10 s is 1.6 of its standard errors: 15.6 s should show two, 35.2 s three."""
     near = replace(ambiguous, steps=(), undecided=(("torque_lowpass:1", 1.6),))
     excitation = Purpose("excitation")
-    (need,) = purposes(near, [excitation], recorded=10.0, left=6.0)
+    (need,) = purposes(near, [excitation], recorded=10.0, left=40.0)
     assert (need.kind, need.groups) == ("evidence", (("torque_lowpass:1",),))
-    assert need.seconds == pytest.approx(5.625)
+    assert need.seconds == pytest.approx(25.15625)  # enough to name it
+    (short,) = purposes(near, [excitation], recorded=10.0, left=6.0)
+    assert short.seconds == 6.0  # enough to add it
     assert purposes(near, [excitation], recorded=10.0, left=5.0) == []  # not in the time left
     assert purposes(near, [excitation, need], recorded=10.0, left=6.0) == []
 
