@@ -7,7 +7,8 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.cli.main import main
+from lieid_casadi.cli import inputs
+from lieid_casadi.cli.main import build_parser, main
 from lieid_casadi.errors import ExcitationError, NoSolution
 from lieid_casadi.excitation import CartesianSpeed, Torque, Wall, excite, floor, friction_sweep
 
@@ -106,6 +107,27 @@ def test_a_fit_in_place_of_the_robot(tmp_path, capsys):
     unchecked = json.loads((tmp_path / "s.json").read_text())["sweeps"][0]["unchecked"]
     assert {"floor", "self-collision", "tool speed"} <= set(unchecked)
     assert "Not checked: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ([], ["Torque", "CartesianSpeed", "Wall", "SelfCollision"]),
+        (["--floor", "none"], ["Torque", "CartesianSpeed", "SelfCollision"]),
+        (["--unchecked-workspace"], ["Torque"]),
+        (
+            ["--cartesian-speed", "1", "--floor", "--self-collision", "--wall", "1", "0", "0",
+             "0.8", "--workspace-box", "-1", "-1", "-1", "1", "1", "2",
+             "--obstacle", "0.5", "-0.1", "0", "0.7", "0.1", "0.3"],
+            ["Torque", "CartesianSpeed", "Wall", "SelfCollision", *["Wall"] * 7, "Obstacle"],
+        ),
+    ],
+)  # fmt: skip
+def test_limits_of_the_options(options, expected):
+    arguments = build_parser().parse_args(["excite", "panda", "-o", "x", *options])
+    limits = inputs.limits_of(arguments, lieid.robots.panda())
+    assert [type(limit).__name__ for limit in limits] == expected
+    assert limits[0].fraction == 0.8
 
 
 def test_interrupt_keeps_the_trajectory(tmp_path, monkeypatch):
