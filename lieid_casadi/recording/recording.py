@@ -201,7 +201,8 @@ class Recording(Measurement):
         columns
             Columns of other names than those of the file format: ``"t=stamp,q1=elbow"`` or a
             mapping ``{"q1": "elbow"}``; ``"q=pos_*"`` stands for all joints in the order of
-            their numbers. Of bags and datasets: signals taken for others, as ``"tau2=tau3"``.
+            their numbers. Of any file: signals taken for others, as ``"tau2=tau3"``; if they are
+            stated for each of ``n`` joints (``"q1=q7,…"``), further joints are left out.
         episodes
             For LeRobot datasets: first episode and end (excluded; None: all).
         calibration, position_limits
@@ -222,8 +223,11 @@ class Recording(Measurement):
         """
         file, start, end = split_part(path)
         stated = parse_columns(columns)
+        moved = [pair for pair in stated if is_name(pair[1])]
+        # of a file with more joints: those of one arm, each of which is stated
+        own = n if n and {f"q{j + 1}" for j in range(n)} <= {name for name, _ in moved} else None
         options = ReadOptions(
-            n=n,
+            n=n if own is None else None,
             joint_names=None if joint_names is None else tuple(joint_names),
             topic=topic,
             columns=tuple(pair for pair in stated if not is_name(pair[1])),
@@ -234,7 +238,7 @@ class Recording(Measurement):
             part=_part_ends(start, end, unit_factors(units)[0]),
         )
         made = convert_units(read_measurement(file, options), units, revolute)
-        made = reassigned(made, [pair for pair in stated if is_name(pair[1])])
+        made = reassigned(made, moved, own)
         made = replace(made, columns=tuple("=".join(pair) for pair in stated))
         recording = cls.of_measurement(made, revolute).with_torque(torque_constants, drives)
         return recording if start is None and end is None else recording.cut(start, end)

@@ -386,3 +386,21 @@ def test_an_npz_has_the_names_of_a_csv_or_whole_arrays(rec, tmp_path):
     assert not read.warnings
     np.savez(tmp_path / "both.npz", t=rec.t, q=rec.q, dq1=rec.dq[:, 0], dq2=rec.dq[:, 1])
     np.testing.assert_array_equal(Recording.load(tmp_path / "both.npz").dq, rec.dq)
+
+
+def test_one_arm_of_a_file_with_two(tmp_path):
+    t = np.arange(0.0, 1.0, 0.01)
+    names = [f"{prefix}{joint}" for prefix in ("q", "dq", "tau") for joint in range(1, 5)]
+    values = np.random.default_rng(0).normal(size=(len(t), 12))
+    header, file = ",".join(["t", *names]), tmp_path / "both.csv"
+    np.savetxt(file, np.column_stack([t, values]), delimiter=",", header=header, comments="")
+    for first in (1, 3):
+        own = ",".join(f"{x}{k}={x}{first + k - 1}" for x in ("q", "dq", "tau") for k in (1, 2))
+        arm = Recording.load(file, n=2, columns=own)
+        of_joints = np.column_stack([arm.q, arm.dq, arm.tau])
+        here = [k for k in range(12) if k % 4 in (first - 1, first)]
+        np.testing.assert_allclose(of_joints, values[:, here])
+    with pytest.raises(RecordingError, match=r"q1…q2 are stated, that of dq1 is not"):
+        Recording.load(file, n=2, columns="q1=q3,q2=q4")
+    with pytest.raises(RecordingError, match=r"found 4 joints .*expected 2"):
+        Recording.load(file, n=2)

@@ -287,8 +287,13 @@ def measurement_of_columns(
     )
 
 
-def reassigned(measurement: Measurement, stated: Sequence[tuple[str, str]]) -> Measurement:
-    """Return a measurement with signals taken for others: pairs of names such as tau2, tau3."""
+def reassigned(
+    measurement: Measurement, stated: Sequence[tuple[str, str]], n: int | None = None
+) -> Measurement:
+    """Return a measurement with signals taken for others: pairs of names such as tau2, tau3.
+
+    Of a file with more than ``n`` joints, all signals of so many are stated, and others left out.
+    """
     columns, source = columns_of(measurement), dict[str, str]()
     for name, column in stated:
         joint = "" if column[-1].isdigit() or column in columns else "[0-9]+"
@@ -301,7 +306,15 @@ def reassigned(measurement: Measurement, stated: Sequence[tuple[str, str]]) -> M
         source |= {name + c[len(column) :]: c for c in own}
     kept = {c: x for c, x in columns.items() if c not in source.values()}
     given = kept | {name: columns[c] for name, c in source.items()}
-    made = measurement_of_columns(given, measurement.title)
+    if n is not None and measurement.n > n:
+        for name in (c for c in columns if (m := _JOINT_COLUMN.fullmatch(c)) and int(m[2]) <= n):
+            if name not in source:  # that of another joint
+                raise RecordingError(
+                    f"{measurement.title}: columns of q1…q{n} are stated, that of {name} is not; "
+                    "expected NAME=COLUMN of every signal"
+                )
+        given = {c: x for c, x in given.items() if c in source or not _JOINT_COLUMN.fullmatch(c)}
+    made = measurement_of_columns(given, measurement.title, n)
     signals = {field: getattr(made, field) for field in ("t", "q", *OPTIONAL_SIGNALS)}
     return replace(measurement, payload_label=made.payload_label, **signals)
 
