@@ -154,13 +154,9 @@ def steps_of(
     columns = [final.columns_of([a.placement]) for a in accepted]
     complete = final.errors(np.zeros(0, dtype=np.intp))
     groups = groups_of(accepted)
-    smooth = {a.joint: a for a in accepted if a.candidate.name == SMOOTH}
     steps = []
     for k, found in enumerate(accepted):
-        status, rivals = found.status, found.rivals
-        if status == "named" and found.joint in smooth:  # the form of this torque is not known
-            other = smooth[found.joint].candidate
-            status, rivals = "one_of", (Rival(other.label, SMOOTH, other.joints, "data"),)
+        status, rivals = status_of(found, accepted)
         replaced = tuple(Rival(c.label, c.name, c.joints, "data") for c in found.replaced)
         later = columns[k + 1 :]
         so_far = final.errors(np.concatenate([np.zeros(0, dtype=np.intp), *later]))
@@ -202,6 +198,17 @@ def steps_of(
             )
         )
     return tuple(steps)
+
+
+def status_of(found: Accepted, accepted: Sequence[Accepted]) -> tuple[Status, tuple[Rival, ...]]:
+    """Return the status of an effect beside all others, and its rivals.
+
+    Beside a smooth function of its joint the form of its torque is not known.
+    """
+    smooth = [a.candidate for a in accepted if (a.candidate.name, a.joint) == (SMOOTH, found.joint)]
+    if found.status != "named" or not smooth:
+        return found.status, found.rivals
+    return "one_of", (Rival(smooth[-1].label, SMOOTH, smooth[-1].joints, "data"),)
 
 
 def groups_of(accepted: Sequence[Accepted]) -> list[int]:
