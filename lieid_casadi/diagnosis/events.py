@@ -32,6 +32,7 @@ from lieid_casadi.robot import Robot
 MARGIN = 0.1  # s on both sides of an event
 #: Range of positions (rad, a tenth of it in m) that a joint must cover for effects on it: less is
 #: compliance of a held joint.
+BRIEF = (TorqueSaturation.name, Backlash.name)  # effects that act for short times
 LEAST_MOTION = 0.05
 PRISMATIC = 0.1  # m of a prismatic joint that count as 1 rad
 EXCESS = 3.0  # times dry friction and the error in motion, above which something holds a joint
@@ -133,20 +134,26 @@ def with_brief_effects(
     The link of a joint with backlash hits the side of its play whenever its load changes its sign.
     That is not a contact to be left out: it is what shows the play. A drive whose torque is limited
     below its law has such errors at each fast command. If a fit of a drive under position control
-    has transient errors, they are therefore judged with limits, and with backlash on every joint.
+    has transient errors, that with limits or with backlash on every joint is returned if fewer are.
     """
     drives = fit.model.robot.drives
     if drives is None or not all(is_torque_of_laws(r, drives) for r in recordings):
         return fit
-    for effect in (TorqueSaturation.name, Backlash.name):
-        if not transient_events(fit, recordings):
-            return fit
+    judged, least = fit, _left_out(fit, recordings)
+    for effect in BRIEF if least > 0.0 else ():
         try:
             model = fit.model.with_effect(effect)
-            fit = identify(model, recordings, method=method, processing=fit.processing)
+            other = identify(model, recordings, method=method, processing=fit.processing)
         except (IdentificationError, NoSolution):
             continue
-    return fit
+        if (own := _left_out(other, recordings)) < least:
+            judged, least = other, own
+    return judged
+
+
+def _left_out(fit: Fit, recordings: Sequence[Recording]) -> float:
+    """Return the time that transient errors of a fit would leave out, s."""
+    return sum(event.end - event.start for event in transient_events(fit, recordings))
 
 
 def held_joints(fit: Fit, recordings: Sequence[Recording]) -> list[HeldJointWarning]:

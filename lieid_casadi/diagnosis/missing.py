@@ -166,6 +166,7 @@ class MissingEffects:
         accepted, rounds = list[Accepted](), 0
         if any(_is_limit(c) for c in rows.columns.owners):
             found = search(rows, self.options, wanted=_is_limit)
+            self.unseen = UnseenMotion.of(rows, found.folds)
             fit, accepted = self._limits(self._accepted(found, accepted))
             if accepted:
                 rows = self._beside(fit, rows)
@@ -175,11 +176,11 @@ class MissingEffects:
             new = self._accepted(found, accepted)
             apart = self._set_apart(found)
             rounds += 1
-            fit, accepted = self._plausible([*accepted, *new])
+            self.unseen = UnseenMotion.of(rows, found.folds)
+            fit, accepted = self._moving(*self._plausible([*accepted, *new]))
             if rounds >= ROUNDS or not (new or apart):
                 break
             rows = self._beside(fit, rows)
-        self.unseen = UnseenMotion.of(rows, found.folds)
         fit, accepted = self._with_the_same_elsewhere(fit, accepted, rows)
         return *self._final(fit, accepted), found
 
@@ -219,14 +220,15 @@ class MissingEffects:
         """Return the fit with the limits that explain most of their joint's error, and these.
 
         Others compete with all effects, unless the error of the fit is higher with them: below a
-        limit that acts nearly always no torque is left to be explained.
+        limit that acts nearly always no torque is left to be explained. A limit by which the arm
+        moves no better is another effect, such as backlash.
         """
         while True:
             fit, found = self._plausible(found)
             part = fit.rms_cv / self.first.rms_cv
             kept = [a for a in found if part[a.joint] < OF_LIMIT]
             if len(kept) == len(found):
-                return fit, kept
+                return self._moving(fit, kept)
             for limit in (a for a in found if part[a.joint] >= 1.0):
                 label = limit.placement.label
                 self.rejected[label] = "in a fit with it the held-out error is higher"
@@ -291,6 +293,18 @@ class MissingEffects:
                 f"{100 * max(falls[worst], 0.0):.1f} %"
             )
         return left if len(left) < len(accepted) else self._moving_better(fit, left)
+
+    def _moving(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
+        """Return the fit with effects by which an arm under commands moves better.
+
+        The others are refused: a limit or a dead band may stand in the place of backlash.
+        """
+        while True:
+            kept = self._moving_better(fit, accepted)
+            if len(kept) == len(accepted):
+                return fit, accepted
+            self.refused |= {a.placement.label for a in accepted if a not in kept}
+            fit, accepted = self._plausible(kept)
 
     def _moving_better(self, fit: Fit, accepted: list[Accepted]) -> list[Accepted]:
         """Return the effects without one by which an arm under commands moves no better."""

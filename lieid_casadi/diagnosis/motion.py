@@ -32,6 +32,7 @@ from lieid_casadi.simulation.runs import (
 
 LONGEST_WINDOW = 1.0  # s
 MOST_WINDOWS = 60
+LEAST_PART = 1e-3  # of a coefficient that is at its bound of zero without some part
 RIDGE = 1e-3  # of a coefficient's information: of a joint that moves in one part alone, it remains
 
 
@@ -111,5 +112,7 @@ class UnseenMotion:
             outside = (whole - own) / np.outer(size, size) + RIDGE * np.eye(count)
             change = np.linalg.solve(outside, slope / size) / size
             values = np.clip(fit.effect_coefficients - change, lower, upper)
+            # without any play a joint has one angle less: all these models have the same states
+            values = np.where(values == 0.0, LEAST_PART * fit.effect_coefficients, values)
             found.append(with_coefficients(fit, values))
         return found

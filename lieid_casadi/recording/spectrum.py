@@ -20,9 +20,9 @@ from lieid_casadi.recording.repairs import without_repeats
 
 #: Least and most cut-off over the band of the motion.
 LEAST_BANDS, MOST_BANDS = 6.0, 25.0
-#: Cut-off over that band if torque is that of control laws. Its only noise is that of positions,
-#: which accelerations multiply: least squares then make inertia smaller, and delays larger.
-BANDS_OF_LAWS = 3.0
+#: Least cut-off over that band if torque is that of control laws. Its only noise is that of
+#: positions, which accelerations multiply: least squares then make inertia smaller by this part.
+BANDS_OF_LAWS, NOISE_OF_LAWS = 3.0, 1e-3
 #: Rate of the torque from which the cut-off is chosen, Hz: arms do not move at higher frequencies.
 TORQUE_RATE = 400.0
 #: Rows from which the cut-off is chosen: a spectrum needs no more.
@@ -43,8 +43,9 @@ def choose_cutoff(recording: Recording) -> float:
     friction-like columns; the band ends where the spectrum of the fitted torque falls below
     that of the residual (median over the joints). At least six and at most 25 times the
     band of the motion (:func:`motion_band`), at most a quarter of the rate. Without torque
-    six times the band of the motion, with that of control laws three times. Two digits; 5 Hz
-    where nothing moves.
+    six times the band of the motion. With that of control laws at most the frequency up to
+    which the noise of positions is a thousandth of each acceleration's power, or three times that
+    band. Two digits; 5 Hz where nothing moves.
     """
     longest = max(recording.segments(), key=lambda segment: segment.duration)
     longest, _ = without_repeats(longest)
@@ -53,18 +54,31 @@ def choose_cutoff(recording: Recording) -> float:
     band = motion_band(longest)
     if band is None:
         return _two_digits(min(5.0, highest), highest)
-    cutoff, explained = LEAST_BANDS * band, None
-    if longest.drives is not None and is_torque_of_laws(longest, longest.drives):
-        cutoff = BANDS_OF_LAWS * band
-    else:
-        explained = _explained_band(longest)
+    cutoff, explained = LEAST_BANDS * band, _explained_band(longest)
     if explained is not None:
         cutoff = float(np.clip(explained, cutoff, MOST_BANDS * band))
+    if longest.drives is not None and is_torque_of_laws(longest, longest.drives):
+        cutoff = min(cutoff, max(_accurate_band(longest, band), BANDS_OF_LAWS * band))
     return _two_digits(float(np.clip(cutoff, min(0.5, highest), highest)), highest)
 
 
 def _two_digits(value: float, highest: float) -> float:
     return min(float(f"{value:.2g}"), highest)
+
+
+def _accurate_band(recording: Recording, band: float) -> float:
+    """Return the frequency up to which noise is a small part of each moving joint's acceleration.
+
+    White noise of positions has the power 2σ²(2π)⁴f⁵/(5·rate) in accelerations below f.
+    """
+    rate, moving = recording.rate, np.ptp(recording.q, axis=0) > ENOUGH_MOTION
+    q = smooth_at(recording.t, recording.q[:, moving], uniform_time(recording.t, rate))
+    speed = lowpass(central_difference(q, rate), rate, min(BANDS_OF_LAWS * band, 0.4 * rate))
+    power = np.mean(central_difference(speed, rate) ** 2, axis=0)
+    rounding = resolution(recording.q[:, moving]) ** 2 / 12.0
+    noise = np.maximum(noise_spread(q) ** 2, rounding)
+    whole = 2.0 * noise * (2.0 * np.pi) ** 4 / (5.0 * rate)
+    return float(np.min((NOISE_OF_LAWS * power / np.maximum(whole, 1e-300)) ** 0.2, initial=np.inf))
 
 
 def _explained_band(recording: Recording) -> float | None:

@@ -20,6 +20,7 @@ from lieid_casadi.effects.command_delay import held_and_late
 from lieid_casadi.effects.registry import make
 from lieid_casadi.errors import BoundWarning, EffectError, NoSolution
 from lieid_casadi.identification.identify import default_effects
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.variable_projection import command_error_range
 from lieid_casadi.recording import choose_cutoff, process
 from lieid_casadi.recording.filtering import lowpass
@@ -138,13 +139,25 @@ def test_a_limit_acts_on_late_commands():
     assert fit.rms_cv[1] < 1.2 * without.rms_cv[1]
 
 
-def test_the_cutoff_of_laws_is_low(runs):
-    """Three times the band of the motion, whose sixfold is the least one of measured torque."""
-    recording = with_torque(runs[0])
-    measured_torque = replace(recording, drives=None)
-    band = motion_band(recording)
-    assert choose_cutoff(recording) == pytest.approx(3.0 * band, rel=0.05)
-    assert choose_cutoff(measured_torque) >= 5.7 * band
+def test_the_cutoff_of_laws_leaves_out_the_noise_of_accelerations(runs):
+    """White noise of positions is a thousandth of the acceleration's power below the cut-off."""
+    accurate = with_torque(runs[0])
+    random = np.random.default_rng(0)
+    coarse = with_torque(replace(runs[0], q=runs[0].q + 1e-3 * random.normal(size=runs[0].q.shape)))
+    low, high = choose_cutoff(coarse), choose_cutoff(accurate)
+    assert 2.9 * motion_band(accurate) < low < 0.7 * high
+    t, noise = coarse.t, 1e-3 * random.normal(size=coarse.q.shape)
+    at = np.arange(t[0], t[-1], 1.0 / coarse.rate)
+    frequency = np.fft.rfftfreq(len(at), 1.0 / coarse.rate)
+    below = (frequency > 0.0) & (frequency < low)
+
+    def power(x):
+        spectrum = np.fft.rfft(np.hanning(len(at))[:, None] * x[: len(at)], axis=0)
+        return np.sum(
+            (np.abs(spectrum) * (2.0 * np.pi * frequency[:, None]) ** 2)[below] ** 2, axis=0
+        )
+
+    assert (power(noise) < 3e-3 * power(accurate.q)).all()
 
 
 def so101_recording(monkeypatch, case, seed):
@@ -174,7 +187,8 @@ def test_transients_are_judged_by_fits_that_have_a_solution(runs, monkeypatch):
     def fails(*args, **options):
         raise NoSolution("no physically consistent parameters")
 
-    monkeypatch.setattr(events, "transient_events", lambda *args: ("a transient",))
+    transient = events.Event("contact", Source("run", ""), 1.0, 1.5, (0,), 2.0, "a transient")
+    monkeypatch.setattr(events, "transient_events", lambda *args: (transient,))
     monkeypatch.setattr(events, "identify", fails)
     assert events.with_brief_effects(fit, [recording], "feasible") is fit
 
