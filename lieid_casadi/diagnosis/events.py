@@ -134,7 +134,8 @@ def with_brief_effects(
     The link of a joint with backlash hits the side of its play whenever its load changes its sign.
     That is not a contact to be left out: it is what shows the play. A drive whose torque is limited
     below its law has such errors at each fast command. If a fit of a drive under position control
-    has transient errors, that with limits or with backlash on every joint is returned if fewer are.
+    has transient errors, that with limits or with backlash on every joint is returned if these are
+    fewer and its held-out error is lower.
     """
     drives = fit.model.robot.drives
     if drives is None or not all(is_torque_of_laws(r, drives) for r in recordings):
@@ -146,7 +147,8 @@ def with_brief_effects(
             other = identify(model, recordings, method=method, processing=fit.processing)
         except (IdentificationError, NoSolution):
             continue
-        if (own := _left_out(other, recordings)) < least:
+        better = np.nanmean(np.log(other.rms_cv / fit.rms_cv)) < 0.0  # else it imitates a contact
+        if better and (own := _left_out(other, recordings)) < least:
             judged, least = other, own
     return judged
 
