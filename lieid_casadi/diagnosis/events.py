@@ -29,10 +29,10 @@ from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS
 from lieid_casadi.recording.sample_timing import gap_limit
 from lieid_casadi.robot import Robot
 
+BRIEF = (TorqueSaturation.name, Backlash.name)  # effects that act for short times
 MARGIN = 0.1  # s on both sides of an event
 #: Range of positions (rad, a tenth of it in m) that a joint must cover for effects on it: less is
 #: compliance of a held joint.
-BRIEF = (TorqueSaturation.name, Backlash.name)  # effects that act for short times
 LEAST_MOTION = 0.05
 PRISMATIC = 0.1  # m of a prismatic joint that count as 1 rad
 EXCESS = 3.0  # times dry friction and the error in motion, above which something holds a joint

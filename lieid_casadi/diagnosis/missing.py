@@ -85,7 +85,7 @@ class MissingEffects:
         self.known = tuple(FilteredColumns() for _ in segments)
         self.rejected: dict[str, str] = {}
         self.undecided: dict[str, float] = {}  # of those, the gains in standard errors
-        self.refused: set[str] = set()  # their fitted values are implausible
+        self.refused: set[str] = set()  # implausible values, or the simulated motion is no better
         self.differing: list[Difference] = []
         self.apart: list[list[Array]] = []  # columns of what differs between the recordings
         self.unseen: UnseenMotion | None = None

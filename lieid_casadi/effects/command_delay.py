@@ -36,6 +36,11 @@ def held_and_late(t: Array, command: Array, delay: float, hold: float) -> Array:
     return np.asarray(np.subtract(*ends) / hold)
 
 
+def held_for(delay: float, hold: float) -> float:
+    """Return the part of a hold, s, that commands with a mean delay can have: twice the delay."""
+    return min(hold, 2.0 * delay)
+
+
 @register
 class CommandDelay(ArmEffect):
     """A drive follows an older command: q_cmd(t − δ) in its control law, δ in s.
@@ -73,7 +78,7 @@ class CommandDelay(ArmEffect):
         assert arm.drives is not None
         q, dq, law = arm.motion[0][:, joint], arm.motion[1][:, joint], arm.drives[joint]
         command, delay = arm.command[:, joint], max(float(values[0]), LEAST)
-        part = min(arm.hold, 2.0 * delay) / PARTS
+        part = held_for(delay, arm.hold) / PARTS
         late = [
             law.torque(held_and_late(arm.t, command, delay + k * part, part) - q, dq)
             for k in np.arange(PARTS) - 0.5 * (PARTS - 1)

@@ -12,8 +12,10 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import events, missing
+from lieid_casadi.diagnosis.folds import folds_of
 from lieid_casadi.diagnosis.motion import UnseenMotion
 from lieid_casadi.diagnosis.result import motion_table
+from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.step import MotionGain
 from lieid_casadi.effects.backlash import place_in_play
 from lieid_casadi.effects.command_delay import held_and_late
@@ -26,6 +28,7 @@ from lieid_casadi.recording import choose_cutoff, process
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.spectrum import motion_band
 from lieid_casadi.robot.yaml_file import write_yaml
+from lieid_casadi.simulation.runs import with_coefficients
 
 ROBOT = TWO_LINK.with_drives(LAWS)
 BASE = "coulomb,viscous,offset"
@@ -191,6 +194,21 @@ def test_transients_are_judged_by_fits_that_have_a_solution(runs, monkeypatch):
     monkeypatch.setattr(events, "transient_events", lambda *args: (transient,))
     monkeypatch.setattr(events, "identify", fails)
     assert events.with_brief_effects(fit, [recording], "feasible") is fit
+
+
+def test_a_play_that_parts_of_the_data_do_not_show_can_be_compared(runs):
+    """Without play a joint has one angle less: such models are not simulated together."""
+    recording = with_torque(runs[0])
+    fit = lieid.identify(lieid.Model(ROBOT, f"{BASE},armature,backlash:1"), recording)
+    (play,) = (k for k, c in enumerate(fit.model.columns) if c.name == "backlash.b")
+    values = fit.effect_coefficients.copy()
+    values[play] = 1e-9  # as uncertain as its sign: some parts lower it to zero
+    rows = Rows.of(fit, process([recording], fit.processing), with_candidates=False)
+    folds = folds_of(rows, rows.residual, 10)
+    unseen = UnseenMotion.of(rows, folds)
+    fits = unseen._fits_without(with_coefficients(fit, values))
+    shown = {each.effect_coefficients[play] > 0.0 for each in fits}
+    assert shown == {True}
 
 
 @pytest.mark.slow

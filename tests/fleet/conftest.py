@@ -2,22 +2,13 @@ import hashlib
 from pathlib import Path
 
 import pytest
-from fleet.simulated_fleet import fit_of, healthy_arm, recorded, write_fleet
+from fleet.simulated_fleet import fit_of, healthy_arm, recorded, tcp_cluster, write_fleet
 
 
 @pytest.fixture(scope="session")
 def scheduler():
     """Address of a Dask cluster in this process: workers need not import anything again."""
-    from distributed import LocalCluster
-
-    with LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp",
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-    ) as cluster:
+    with tcp_cluster(1) as cluster:
         yield cluster.scheduler_address
 
 

@@ -69,3 +69,17 @@ def write_fleet(folder, serials, **entries):
     path = Path(folder) / "fleet.yaml"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
+
+
+def tcp_cluster(workers):
+    """Return a Dask cluster in this process, at a TCP address."""
+    from distributed import LocalCluster
+
+    return LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+    )

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 from benchmarks.fleet_faults import ClusterProcesses, killed_run, lost_or_repeated, run_client
-from fleet.simulated_fleet import healthy_arm, recorded
+from fleet.simulated_fleet import healthy_arm, recorded, tcp_cluster
 
 from lieid_casadi.cli.main import main
 from lieid_casadi.fleet import cluster as arm_nights
@@ -237,16 +237,8 @@ def test_an_arm_night_that_takes_too_long_fails(fleet_folder, scheduler, monkeyp
 
 
 def test_a_cluster_without_workers_ends_with_status_3(fleet_folder, monkeypatch, capsys):
-    from distributed import LocalCluster
-
     monkeypatch.setattr(arm_nights, "WORKERS_WAIT", 0.3)
     monkeypatch.setattr(arm_nights, "CHECK_EVERY", 0.1)
-    with LocalCluster(
-        n_workers=0,
-        processes=False,
-        protocol="tcp",
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-    ) as cluster:
+    with tcp_cluster(0) as cluster:
         assert run(fleet_folder, cluster.scheduler_address) == 3
     assert "has had no workers for 0.3 s" in capsys.readouterr().err

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects.arm_effect import ArmEffect
-from lieid_casadi.effects.command_delay import CommandDelay, held_and_late
+from lieid_casadi.effects.command_delay import CommandDelay, held_and_late, held_for
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.model import Model, Slot
 from lieid_casadi.recording.filtering import lowpass
@@ -110,13 +110,12 @@ class ModelAlongSegment:
         command, found = self.segment.command, self.segment.command_error
         if command is None or found is None:
             return found
-        late, hold = command.copy(), self.hold
+        late = command.copy()
         for column, value in zip(self.compiled.model.columns, self.coefficients, strict=True):
             if column.name == f"{CommandDelay.name}.delta" and value > 0.0:
-                own = command[:, column.joint]
-                late[:, column.joint] = held_and_late(
-                    self.t, own, float(value), min(hold, 2.0 * float(value))
-                )
+                own, delay = command[:, column.joint], float(value)
+                hold = held_for(delay, self.hold)
+                late[:, column.joint] = held_and_late(self.t, own, delay, hold)
         return replace(self.segment, command=late).command_error
 
     @property
