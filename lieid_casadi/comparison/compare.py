@@ -25,6 +25,7 @@ from lieid_casadi.identification.recording_checks import (
     check_recordings,
     check_torque_constants,
 )
+from lieid_casadi.identification.regression.design_matrix import usable_rows
 from lieid_casadi.recording import Processed, Recording, check, process
 from lieid_casadi.recording.recording import listed
 
@@ -84,7 +85,8 @@ def compare_segments(
     moving = np.concatenate([s.moving for s in series])
     error = measured - predicted
     rms, torque_rms = _rms(error), _rms(measured)
-    rms_moving = _rms_where(error, moving)
+    used = np.concatenate([usable_rows(fit.model, segment) for segment in segments])
+    rms_moving = _rms_where(error, moving & used)
     floor, source = np.full(fit.model.n, np.nan), "none"
     if with_noise:
         floor, source = noise_floor(fit, recordings, segments, rms_moving)

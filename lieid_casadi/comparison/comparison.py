@@ -53,7 +53,8 @@ class Comparison:
     joint_names, units : tuple of str
         Of each joint; the torque's unit is N·m, N for prismatic joints.
     rms, rms_moving, rms_at_rest : (n,)
-        RMS error of all samples, of joints in motion, and at rest, N·m.
+        RMS error of all samples, of joints in motion, and at rest, N·m. Samples near reversals,
+        which a fit with a delay of commands leaves out, are not among those in motion.
     rms_raw : (n,)
         RMS error on the uniform grid, resampled but not filtered.
     at_rest : (n,)

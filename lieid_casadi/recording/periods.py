@@ -46,9 +46,11 @@ def detect_period(recording: Recording) -> float | None:
 def period_noise(recording: Recording, *, cutoff: float | None = None) -> Array | None:
     """Return the standard deviation (n,) of the torque between periods, N·m; None if not periodic.
 
-    With a cut-off, Hz, that of the low-passed torque: a lower bound of the error of any model.
+    With a cut-off, Hz, that of the low-passed torque: a lower bound of the error of any model. None
+    for torque of control laws, too: it has the noise of positions alone, which acts by the model's
+    accelerations most and, as rounding, is the same in each period.
     """
-    if recording.tau is None:
+    if recording.tau is None or recording.drives is not None:
         return None
     period = detect_period(recording)
     if period is None:

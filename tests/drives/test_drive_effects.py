@@ -211,6 +211,15 @@ def test_a_play_that_parts_of_the_data_do_not_show_can_be_compared(runs):
     assert shown == {True}
 
 
+def test_the_error_of_a_sound_arm_is_noise(monkeypatch):
+    """That of coarse positions, which repeats with the motion; of other rows than at reversals."""
+    recording = so101_recording(monkeypatch, "hold", 0)
+    fit = lieid.identify(lieid.Model(so101.ROBOT, so101.EFFECTS), recording)
+    compared = lieid.compare(fit, recording)
+    assert compared.noise_source == "motion"
+    assert (compared.rms_moving < 1.2 * compared.noise_floor).all()
+
+
 @pytest.mark.slow
 def test_limits_of_drives_are_found_first(monkeypatch):
     """They are found as such, and not as effects of the arm that resemble them together."""
@@ -219,6 +228,7 @@ def test_limits_of_drives_are_found_first(monkeypatch):
     found = lieid.diagnose(model, recording, method="feasible")
     assert {s.label for s in found.steps} == {f"torque_saturation:{j}" for j in range(1, 7)}
     assert not [event for event in found.events if event.kind != "standstill"]
+    assert found.verdict == "effect_found"
 
 
 @pytest.mark.parametrize(
@@ -412,6 +422,7 @@ def test_friction_in_mujoco_is_no_dead_band(monkeypatch):
     train = so101.recorded(1, 15.0)[0].with_drives(so101.ROBOT.drives)
     found = lieid.diagnose(lieid.Model(so101.ROBOT, so101.EFFECTS), train, method="feasible")
     assert not [step.label for step in found.steps]
+    assert found.verdict == "sufficient"
 
 
 @pytest.mark.slow

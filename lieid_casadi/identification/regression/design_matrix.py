@@ -58,8 +58,8 @@ def has_dry_friction(model: Model) -> NDArray[np.bool_]:
     return dry
 
 
-def _usable(model: Model, segment: Processed) -> NDArray[np.bool_]:
-    """Mark the filtered instants (M, n) at which friction is determined.
+def usable_rows(model: Model, segment: Processed) -> NDArray[np.bool_]:
+    """Mark the filtered instants (M, n) at which friction is determined: the rows of a fit.
 
     Dry friction reverses some milliseconds before or after the velocity: links are elastic, and
     simulators make it soft. By as much a delay of commands would be wrong, and with it viscous
@@ -177,7 +177,7 @@ class Design:
         self._active = active_columns(compiled)
         acts = np.array([np.isin(self.varying, active) for active in self._active])
         self._pairs = np.nonzero(acts)  # joints, and the varying columns that act on them
-        self._use = [_usable(self.model, s) for s in self.segments]
+        self._use = [usable_rows(self.model, s) for s in self.segments]
         self._torque = [s.filtered_torque for s in self.segments]
         lengths = [len(use) for use in self._use]
         self._segments = np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
