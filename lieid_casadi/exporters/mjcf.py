@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.errors import ExportError
+from lieid_casadi.errors import ExportError, NotReadWarning
 from lieid_casadi.exporters.mjcf_in_place import CannotEdit, edited_mjcf
 from lieid_casadi.exporters.simulator_joints import (
     ActuatorLaw,
@@ -66,6 +66,8 @@ def mjcf_files(fit: Fit, into: str | Path | None = None) -> tuple[dict[str, byte
             friction = linear_friction(fit)
             files, notes = edited_mjcf(fit, source, friction)
             notes = [*notes_of(fit, friction, ()), *notes]
+            unread = (w for w in fit.warnings if isinstance(w, NotReadWarning))
+            notes += [f"the model keeps what is not part of the fit ({w})" for w in unread]
             return {name: text.encode() for name, text in files.items()}, notes
         except CannotEdit as reason:
             if into is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -44,14 +44,15 @@ INTEGRATOR, NO_DYNAMICS = 1, 0  # MuJoCo's types of activation dynamics
 def read_mjcf(
     path: str | Path, *, tip: str | None = None, lock: Sequence[str] = ()
 ) -> RobotDescription:
-    """Return the serial arm of a MuJoCo model, in its pose ``qpos0``.
+    """Return the serial arm of a MuJoCo model, whose angles are those of ``qpos``.
 
     Bodies without joints move with their parents and add to their inertia, as do branches off the
     chain to ``tip``, whose joints are locked at the first keyframe. Position actuators become
     drives, and force ranges torque limits. Friction, armature, contacts and plays (joints
     without actuator on the axis of the joint before, in the same body) are not read: they are
-    what an identification finds. Springs, gravity compensation and the dynamics of actuators are
-    not read either, and named in the warnings. Meshes that are missing are left out.
+    what an identification finds. Springs, gravity compensation, fluids, constraints, tendons, other
+    actuators and the dynamics of actuators are not read either, and named in the warnings. Meshes
+    that are missing are left out.
     """
     try:
         import mujoco
@@ -78,7 +79,8 @@ def read_mjcf(
             if k not in inside:
                 place = slice(model.jnt_qposadr[k], _end(model, k))
                 data.qpos[place] = model.key_qpos[0][place]
-    mujoco.mj_kinematics(model, data)
+    data.qpos[[model.jnt_qposadr[k] for k in inside]] = 0.0  # not qpos0, which is a joint's `ref`
+    mujoco.mj_forward(model, data)
     name = model.names[: model.names.find(b"\0")].decode(errors="replace")
     carried = [
         (model.body(b).name, tuple(_parameters(model, data, b, others[1:]).tolist()))
@@ -88,7 +90,7 @@ def read_mjcf(
     return RobotDescription(
         name=name or "robot",
         joints=tuple(_joint(model, data, b, _rigid_with(model, b, chain)) for b in chain),
-        gravity=np.array(model.opt.gravity, dtype=float),
+        gravity=_gravity(model),
         source=RobotSource(
             "mjcf", files[0][1], tip, tuple(lock), files=tuple(files), carried=tuple(carried)
         ),
@@ -277,8 +279,8 @@ def _locked(model: Any, path: str | Path, chain: Sequence[int]) -> list[LieidWar
 def _not_read(model: Any, path: str | Path, chain: Sequence[int]) -> list[LieidWarning]:
     """Return a warning that names what acts on the chain and is not part of a description."""
     found: list[str] = []
-    joints = {int(model.body_jntadr[body]): k + 1 for k, body in enumerate(chain)}
-    for index, number in joints.items():
+    for number, body in enumerate(chain, start=1):
+        index = int(model.body_jntadr[body])
         if model.jnt_stiffness[index] > 0.0:
             rest = float(model.qpos_spring[model.jnt_qposadr[index]])
             found.append(
@@ -286,22 +288,94 @@ def _not_read(model: Any, path: str | Path, chain: Sequence[int]) -> list[LieidW
                 f"{model.jnt_stiffness[index]:.4g}, springref {rest:.4g}; the effects "
                 f"position_spring:{number} and offset:{number} describe it)"
             )
-    bodies = {other for body in chain for other in _rigid_with(model, body, chain)}
+    links = {other: body for body in chain for other in _rigid_with(model, body, chain)}
     found += [
         f"gravcomp = {model.body_gravcomp[body]:.4g} of body {model.body(body).name}"
-        for body in sorted(bodies)
+        for body in sorted(links)
         if model.body_gravcomp[body] != 0.0
     ]
+    if model.opt.density > 0.0 or model.opt.viscosity > 0.0:
+        found.append("the fluid (density, viscosity)")
+    found += _constraints_and_tendons(model, chain, links)
+    found += _other_actuators(model, chain, links)
+    return [NotReadWarning(f"{path}: not read: {'; '.join(found)}")] if found else []
+
+
+def _constraints_and_tendons(
+    model: Any, chain: Sequence[int], links: Mapping[int, int]
+) -> Iterator[str]:
+    """Yield the equality constraints and tendons that act on the chain, by name.
+
+    ``links``: the body of the chain that each body moves with; others move with the base.
+    """
+    from mujoco import mjtEq, mjtObj
+
+    for k in range(model.neq):
+        ends, kind = (int(model.eq_obj1id[k]), int(model.eq_obj2id[k])), int(model.eq_type[k])
+        if kind == mjtEq.mjEQ_JOINT:
+            acts = any(end in _joints_of(model, chain) for end in ends)
+        elif kind == mjtEq.mjEQ_TENDON:
+            acts = any(end >= 0 and _tendon_acts(model, end, chain, links) for end in ends)
+        elif kind in (mjtEq.mjEQ_CONNECT, mjtEq.mjEQ_WELD):
+            sites = int(model.eq_objtype[k]) == mjtObj.mjOBJ_SITE
+            bodies = [int(model.site_bodyid[end]) if sites else end for end in ends]
+            acts = len({links.get(body, 0) for body in bodies}) > 1
+        else:
+            continue
+        if acts:
+            yield f"equality constraint {model.equality(k).name or k + 1}"
+    for k in range(model.ntendon):
+        force = (model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss)
+        if any(np.any(values[k]) for values in force) and _tendon_acts(model, k, chain, links):
+            yield f"tendon {model.tendon(k).name or k + 1} (stiffness, damping, frictionloss)"
+
+
+def _other_actuators(model: Any, chain: Sequence[int], links: Mapping[int, int]) -> Iterator[str]:
+    """Yield the dynamics of the chain's actuators, and actuators besides one for each joint."""
+    from mujoco import mjtTrn
+
     for k in range(model.nu):
         index, kind = int(model.actuator_trnid[k, 0]), int(model.actuator_dyntype[k])
-        if int(model.actuator_trntype[k]) != 0 or index not in joints or kind == NO_DYNAMICS:
+        name, transmission = model.actuator(k).name or f"{k + 1}", int(model.actuator_trntype[k])
+        if transmission == mjtTrn.mjTRN_JOINT:
+            if index not in _joints_of(model, chain):
+                continue
+            if k != _actuator_of(model, index):
+                yield f"actuator {name}, a further one of joint {model.joint(index).name}"
+            elif kind != NO_DYNAMICS:
+                what = "its integrator" if kind == INTEGRATOR else "its time constant"
+                value = model.actuator_dynprm[k, 0]
+                yield f"the dynamics of actuator {name} ({what}, dynprm = {value:.4g})"
             continue
-        what = "its integrator" if kind == INTEGRATOR else "its time constant"
-        name = model.actuator(k).name or f"{k + 1}"
-        found.append(
-            f"the dynamics of actuator {name} ({what}, dynprm = {model.actuator_dynprm[k, 0]:.4g})"
-        )
-    return [NotReadWarning(f"{path}: not read: {'; '.join(found)}")] if found else []
+        if transmission == mjtTrn.mjTRN_JOINTINPARENT:
+            acts = index in _joints_of(model, chain)
+        elif transmission == mjtTrn.mjTRN_TENDON:
+            acts = _tendon_acts(model, index, chain, links)
+        else:  # at a site or a body
+            at_body = transmission == mjtTrn.mjTRN_BODY
+            acts = (index if at_body else int(model.site_bodyid[index])) in links
+        if acts:
+            yield f"actuator {name} (its transmission)"
+
+
+def _joints_of(model: Any, chain: Sequence[int]) -> list[int]:
+    return [int(model.body_jntadr[body]) for body in chain]
+
+
+def _tendon_acts(model: Any, tendon: int, chain: Sequence[int], links: Mapping[int, int]) -> bool:
+    """Return whether a tendon's length depends on the joints of the chain."""
+    from mujoco import mjtWrap
+
+    first, bodies = int(model.tendon_adr[tendon]), set()
+    for k in range(first, first + int(model.tendon_num[tendon])):
+        kind, own = int(model.wrap_type[k]), int(model.wrap_objid[k])
+        if kind == mjtWrap.mjWRAP_JOINT and own in _joints_of(model, chain):
+            return True
+        if kind in (mjtWrap.mjWRAP_SPHERE, mjtWrap.mjWRAP_CYLINDER):
+            bodies.add(links.get(int(model.geom_bodyid[own]), 0))
+        elif kind == mjtWrap.mjWRAP_SITE:
+            bodies.add(links.get(int(model.site_bodyid[own]), 0))
+    return len(bodies) > 1
 
 
 def _joint(model: Any, data: Any, body: int, bodies: list[int]) -> Joint:
@@ -313,13 +387,12 @@ def _joint(model: Any, data: Any, body: int, bodies: list[int]) -> Joint:
     screw = np.concatenate([axis, -np.cross(axis, anchor)] if hinge else [np.zeros(3), axis])
     total = _parameters(model, data, body, bodies)
     low, high = model.jnt_range[index] if model.jnt_limited[index] else (NOT_STATED, NOT_STATED)
-    zero = float(model.qpos0[model.jnt_qposadr[index]])
     drive, torque = _drive(model, index)
     return Joint(
         name=model.joint(index).name or f"joint{index + 1}",
         screw=screw,
         home=home,
-        limits=Limits(float(low) - zero, float(high) - zero, torque=torque),
+        limits=Limits(float(low), float(high), torque=torque),
         link=total if total[0] > 0.0 else None,
         link_name=model.body(body).name,
         drive=drive,
@@ -338,26 +411,44 @@ def _parameters(model: Any, data: Any, body: int, bodies: Sequence[int]) -> Arra
     return total
 
 
+def _actuator_of(model: Any, joint: int) -> int | None:
+    """Return the actuator of a joint: its first position servo, or else its first one."""
+    at_joint = (model.actuator_trntype == 0) & (model.actuator_trnid[:, 0] == joint)
+    own: list[int] = np.flatnonzero(at_joint).tolist()
+    return next((k for k in own if _is_servo(model, k)), own[0] if own else None)
+
+
+def _is_servo(model: Any, actuator: int) -> bool:
+    """Return whether an actuator's force is kp·(ctrl − position) − kv·velocity."""
+    gain, bias = float(model.actuator_gainprm[actuator, 0]), model.actuator_biasprm[actuator]
+    alike = bias[1] < 0.0 and bool(np.isclose(gain, -bias[1]))
+    return alike and int(model.actuator_dyntype[actuator]) != INTEGRATOR
+
+
 def _drive(model: Any, joint: int) -> tuple[Drive | None, float]:
     """Return a joint's control law and torque limit, N·m; its stiffness has the gear squared."""
-    force = NOT_STATED
+    force, k = NOT_STATED, _actuator_of(model, joint)
     if model.jnt_actfrclimited[joint]:
         force = float(model.jnt_actfrcrange[joint, 1])
-    for k in range(model.nu):
-        if int(model.actuator_trntype[k]) != 0 or int(model.actuator_trnid[k, 0]) != joint:
-            continue
-        gear = abs(float(model.actuator_gear[k, 0]))
-        if model.actuator_forcelimited[k]:
-            force = float(np.fmin(force, gear * model.actuator_forcerange[k, 1]))
-        gain, bias = float(model.actuator_gainprm[k, 0]), model.actuator_biasprm[k]
-        position = bias[1] < 0.0 and np.isclose(gain, -bias[1])
-        if position and int(model.actuator_dyntype[k]) != INTEGRATOR:
-            damping = max(-float(bias[2]), 0.0)
-            return Drive(stiffness=gear**2 * gain, damping=gear**2 * damping), force
-        if math.isnan(force) and model.actuator_ctrllimited[k] and not position:
-            force = float(model.actuator_ctrlrange[k, 1]) * gain * gear
+    if k is None:
         return None, force
+    gear, gain = abs(float(model.actuator_gear[k, 0])), float(model.actuator_gainprm[k, 0])
+    if model.actuator_forcelimited[k]:
+        force = float(np.fmin(force, gear * model.actuator_forcerange[k, 1]))
+    if _is_servo(model, k):
+        damping = max(-float(model.actuator_biasprm[k, 2]), 0.0)
+        return Drive(stiffness=gear**2 * gain, damping=gear**2 * damping), force
+    motor = not model.actuator_biastype[k] and not model.actuator_gaintype[k]
+    if math.isnan(force) and model.actuator_ctrllimited[k] and motor:
+        force = float(model.actuator_ctrlrange[k, 1]) * gain * gear
     return None, force
+
+
+def _gravity(model: Any) -> Array:
+    from mujoco import mjtDisableBit
+
+    on = not model.opt.disableflags & int(mjtDisableBit.mjDSBL_GRAVITY)
+    return np.array(model.opt.gravity, dtype=float) * on
 
 
 def _pose(data: Any, body: int) -> Array:

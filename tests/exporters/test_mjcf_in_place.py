@@ -14,6 +14,7 @@ from exporters.test_mjcf_export import inverse
 
 import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
+from lieid_casadi.errors import NotReadWarning
 from lieid_casadi.exporters.mjcf import mjcf_files
 from lieid_casadi.identification.feasible.certificate import Certificate
 
@@ -138,6 +139,7 @@ def test_motion_is_that_of_the_fit(robot, tmp_path, saved):
         fit.save(tmp_path / "fit.json")
         fit = lieid.Fit.load(tmp_path / "fit.json")
     path, notes = exported(fit, tmp_path / "out")
+    assert not any("keeps what is not part" in note for note in notes)
     model = mujoco.MjModel.from_xml_path(str(path))
     np.testing.assert_allclose(model.dof_solref[:2], [[0.008, 1.0], [0.03, 1.0]])  # elbow: stated
     assert any("command delays" in note for note in notes)
@@ -167,6 +169,13 @@ def test_motion_is_that_of_the_fit(robot, tmp_path, saved):
             expected += [own[f"{name}:1"] * signal[0], own[f"{name}:2"] * signal[1]]
         expected[0] += own["position_spring.K:1"] * q[0] + own["offset.f_b:1"]
         np.testing.assert_allclose(inverse(model, *state)[:2], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_what_was_not_read_stays_and_is_noted(robot, tmp_path):
+    fit = numbers_of(robot)
+    unread = NotReadWarning("arm.xml: not read: gravcomp = 1 of body upper")
+    _, notes = exported(dataclasses.replace(fit, warnings=(unread,)), tmp_path / "out")
+    assert any("gravcomp = 1 of body upper" in note for note in notes)
 
 
 def test_bodies_on_a_link_that_weigh_too_much_are_scaled(robot, tmp_path):

@@ -142,6 +142,9 @@ def test_a_gear_multiplies_stiffness_by_its_square(tmp_path):
     assert joint.limits.torque == pytest.approx(data.qfrc_actuator[0])
 
 
+TENDON = '<tendon><fixed name="t" stiffness="2"><joint joint="j" coef="1"/></fixed></tendon>'
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -161,6 +164,19 @@ def test_a_gear_multiplies_stiffness_by_its_square(tmp_path):
             {"body": '<body name="b" gravcomp="1"><geom size="0.1"/></body>'},
             ["gravcomp = 1 of body b"],
         ),
+        (
+            {"more": '<equality><connect name="bar" body1="link" anchor="0.1 0 0"/></equality>'},
+            ["equality constraint bar"],
+        ),
+        (
+            {"more": TENDON + '<equality><tendon tendon1="t"/></equality>'},
+            ["equality constraint 1", "tendon t"],
+        ),
+        (
+            {"more": TENDON + '<actuator><position name="p" tendon="t" kp="9"/></actuator>'},
+            ["tendon t", "actuator p (its transmission)"],
+        ),
+        ({"more": '<option density="1000"/>'}, ["the fluid"]),
     ],
 )
 def test_what_is_not_read_is_named(tmp_path, changes, words):
@@ -171,6 +187,33 @@ def test_what_is_not_read_is_named(tmp_path, changes, words):
     assert isinstance(warning, NotReadWarning)
     assert all(word in str(warning) for word in words)
     assert (robot.drives is None) == ("timeconst" not in str(changes))
+
+
+def test_a_velocity_servo_beside_a_position_servo_is_named(tmp_path):
+    servos = '<velocity name="v" joint="j" kv="3"/><position joint="j" kp="9" kv="1"/>'
+    path = tmp_path / "arm.xml"
+    path.write_text(model(more=f"<actuator>{servos}</actuator>"))
+    robot = lieid.Robot.load(path)
+    assert robot.joints[0].drive == Drive(stiffness=9.0, damping=1.0)
+    assert "actuator v, a further one of joint j" in str(robot.warnings[0])
+
+
+@pytest.mark.parametrize(
+    ("joint", "more"),
+    [
+        ('ref="0.4" range="-1 2"', ""),
+        ('range="-1 2"', '<option><flag gravity="disable"/></option>'),
+    ],
+    ids=["another angle at rest", "without gravity"],
+)
+def test_angles_and_gravity_are_those_of_the_model(tmp_path, joint, more):
+    path = tmp_path / "arm.xml"
+    path.write_text(model(more=more, joint=joint).replace("0 0 1", "0 1 0"))
+    robot, (q, dq, ddq) = lieid.Robot.load(path), np.array([[0.7], [0.3], [-0.5]])
+    arm = lieid.compile(robot)
+    found = arm.inverse_dynamics(q[None], dq[None], ddq[None], robot.link_parameters)
+    np.testing.assert_allclose(found[0], torque(path, q, dq, ddq), atol=1e-9)
+    assert robot.limit("position_upper") == 2.0
 
 
 def test_a_missing_mesh_is_no_obstacle(tmp_path):
@@ -197,13 +240,16 @@ FINGERS = """<body name="hand" pos="0 0 0.2"><joint name="wrist" axis="1 0 0"/>
   <inertial pos="0 0 0.1" mass="0.1" diaginertia="0.01 0.01 0.01"/></body>
  <body name="right"><joint name="fr" type="slide" axis="0 -1 0"/>
   <inertial pos="0 0 0.1" mass="0.1" diaginertia="0.01 0.01 0.01"/></body></body>"""
+COUPLED = """<equality><joint joint1="fl" joint2="fr"/></equality>
+<tendon><fixed name="split" stiffness="1"><joint joint="fl" coef="1"/></fixed></tendon>
+<actuator><general tendon="split"/></actuator>"""
 KEY = '<keyframe><key qpos="0.4 0.5 0.03 0.01"/></keyframe>'
 
 
 @pytest.mark.parametrize("options", [{"tip": "hand"}, {"lock": ["fl", "fr"]}])
 def test_fingers_are_locked_at_the_keyframe_and_add_their_mass(tmp_path, options):
     path = tmp_path / "arm.xml"
-    path.write_text(model(FINGERS, more=KEY))
+    path.write_text(model(FINGERS, more=KEY + COUPLED))
     robot = lieid.Robot.load(path, **options)
     assert [joint.name for joint in robot.joints] == ["j", "wrist"]
     (warning,) = robot.warnings
