@@ -1,18 +1,19 @@
-"""The history of a fleet: one DuckDB file with all runs, and a snapshot of it for readers.
+"""The history of a fleet: one DuckDB file with all runs, which everybody may read at any time.
 
-DuckDB permits one process that writes, or several that read. The file is therefore opened only by
-the commands that change it; they leave a copy beside it (``history.read.duckdb``), which is
-replaced atomically and which everybody may read at any time.
+DuckDB permits one process that writes to a file, or several that read it. The commands that change
+a history therefore work on a copy beside it (``history.run.duckdb``), which takes the place of the
+file as a whole after batches of results and at the end.
 """
 
 from __future__ import annotations
 
+import fcntl
 import json
-import re
-import subprocess
+import os
+import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
@@ -144,39 +145,51 @@ class HistoryInUse(FleetError):
 
 
 class History(AbstractContextManager["History"]):
-    """A history, open for writing, or its snapshot for reading.
+    """A history, open for changes or, with ``read_only``, for reading.
 
-    With ``read_only`` the history must exist, and may be in use; without ``new`` it must exist as
-    well. ``wait`` is the time, s, to wait for another process that has the file open.
-    FleetError: another process has it open, or the file is not a history.
+    What a killed process has left beside the file is continued, unless the file was changed since.
+    With ``read_only`` the history must exist, without ``new`` as well. ``wait`` is the time, s, to
+    wait for another process that changes it.
+    FleetError: another process changes it, or the file is not a history.
     """
 
     def __init__(
         self, path: str | Path, *, read_only: bool = False, wait: float = 0.0, new: bool = True
     ) -> None:
-        self.path = str(path)
-        self._is_new = not Path(path).exists()
-        self._read_only, self._open = read_only, True
+        self.path, self._file = str(path), Path(os.path.realpath(path))
+        self._is_new = not self._file.exists()
+        self._copy = None if read_only else copy_of(path)
         if (read_only or not new) and self._is_new:
             raise FleetError(f"{path}: no such file; expected a history that lieid fleet wrote")
-        opened = self.path
-        if not read_only:
-            check_file(path)
-            with reported(path):
-                Path(path).absolute().parent.mkdir(parents=True, exist_ok=True)
-        elif snapshot_of(path).exists():
-            opened = str(snapshot_of(path))
-        self.connection = _connect(opened, read_only=read_only, wait=wait)
-        try:
-            if not read_only:
-                _prepare(self.connection, self.path)
-                if not snapshot_of(path).exists():
-                    self.write_snapshot()  # from the first minute of the first run on
-            elif _schema_of(self.connection, opened) < SCHEMA:
-                raise FleetError(f"{path}: an older schema; run lieid fleet once to migrate it")
-        except BaseException:
-            self.connection.close()
-            raise
+        with ExitStack() as stack:
+            if self._copy is not None:
+                check_file(path)
+                with reported(path):
+                    self._file.parent.mkdir(parents=True, exist_ok=True)
+                stack.enter_context(_locked(self._file, wait))
+                if self._is_new or _changed(self._copy) < _changed(self._file):
+                    self._begin(self._copy)
+            try:
+                self.connection = _connect(self._copy or self._file, self.path, read_only)
+                stack.callback(self.connection.close)
+                if not read_only:
+                    _prepare(self.connection, self.path)
+                elif _schema_of(self.connection, self.path) < SCHEMA:
+                    raise FleetError(f"{path}: an older schema; run lieid fleet once to migrate it")
+            except FleetError:
+                if self._copy is not None:
+                    self._copy.unlink(missing_ok=True)
+                raise
+            if self._is_new:
+                self.publish()  # for readers from the first minute of the first run on
+            self._open = stack.pop_all()
+
+    def _begin(self, copy: Path) -> None:
+        """Copy the file, with the log that a killed process may have left beside it."""
+        for source, target in ((self._file, copy), (_log_of(self._file), _log_of(copy))):
+            target.unlink(missing_ok=True)
+            if source.exists():
+                copy_file(source, target)
 
     def __exit__(
         self,
@@ -184,25 +197,27 @@ class History(AbstractContextManager["History"]):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file; a new file without runs is removed after an error."""
+        """Close the history; a new one without runs is removed after an error."""
         unused = kind is not None and self._is_new and not self.rows("SELECT 1 FROM runs LIMIT 1")
-        self.close(snapshot=not unused)
-        if unused:
-            for file in (Path(self.path), snapshot_of(self.path)):
-                file.unlink(missing_ok=True)
+        with self._open:
+            if self._copy is not None:
+                self.publish()
+                self.connection.close()
+                self._copy.unlink()
+            if unused:
+                self._file.unlink()
+                reading_name(self._file).unlink()
 
-    def close(self, *, snapshot: bool = True) -> None:
-        """Close the file, with a snapshot for readers if it was open for writing."""
-        if self._open:
-            self._open = False
-            if snapshot and not self._read_only:
-                self.write_snapshot()
-            self.connection.close()
-
-    def write_snapshot(self) -> None:
-        """Write everything that is committed into the file, and replace the readers' copy of it."""
+    def publish(self) -> None:
+        """Replace the file by everything that is committed."""
+        assert self._copy is not None
         self.connection.execute("CHECKPOINT")
-        copy_file(self.path, snapshot_of(self.path))
+        copy_file(self._copy, self._file)
+        _log_of(self._file).unlink(missing_ok=True)
+        link = reading_name(self._file)
+        if not link.is_symlink():
+            link.unlink(missing_ok=True)
+            link.symlink_to(self._file.name)
 
     def rows(self, query: str, values: Sequence[object] = ()) -> list[tuple[Any, ...]]:
         """Return the rows of an SQL query."""
@@ -288,62 +303,99 @@ class History(AbstractContextManager["History"]):
         ).fetchall()
 
 
-def snapshot_of(path: str | Path) -> Path:
-    """Return the path of the copy that readers of a history open."""
-    file = Path(path)
+def copy_of(path: str | Path) -> Path:
+    """Return the path of the copy that is changed."""
+    file = Path(os.path.realpath(path))
+    return file.with_name(f"{file.stem}.run{file.suffix}")
+
+
+def reading_name(file: Path) -> Path:
+    """Return the name under which earlier versions kept a copy for readers: a link to the file."""
     return file.with_name(f"{file.stem}.read{file.suffix}")
 
 
-def copy_file(source: str | Path, target: str | Path) -> None:
-    """Copy a file that nobody writes meanwhile; the target is replaced as a whole.
+def _log_of(file: Path) -> Path:
+    """Return the path of DuckDB's log, whose content is not in the file yet."""
+    return file.with_name(f"{file.name}.wal")
 
-    Another process reads it: the locks that DuckDB holds on a file end as soon as the process that
-    holds them closes the file anywhere, and a second one could then write to it.
-    """
-    with atomic_binary(target) as file:
-        done = subprocess.run(["cat", "--", str(source)], stdout=file, check=False)
-        if done.returncode:
-            raise FleetError(f"{source}: cannot be copied to {target}; expected space for it")
+
+def _changed(file: Path) -> int:
+    """Return when a file or its log was changed last; 0 if it does not exist."""
+    files = (file, _log_of(file)) if file.exists() else ()
+    return max((each.stat().st_mtime_ns for each in files if each.exists()), default=0)
+
+
+def copy_file(source: str | Path, target: str | Path) -> None:
+    """Copy a file; the target is replaced as a whole."""
+    with atomic_binary(target) as file, open(source, "rb") as content:
+        shutil.copyfileobj(content, file, 2**20)
 
 
 def backup(path: str | Path, target: str | Path) -> bool:
     """Write a history as one complete file; return whether it is of now."""
     is_of_now = True
-    try:
-        with History(path, new=False):
-            pass  # what a run that was killed has left is written into the file
-    except HistoryInUse:
-        is_of_now = False
-    copy_file(snapshot_of(path), target)
+    if copy_of(path).exists() or _log_of(Path(path)).exists():
+        try:
+            with History(path, new=False):
+                pass  # what a run that was killed has left is written into the file
+        except HistoryInUse:
+            is_of_now = False
+    copy_file(path, target)
     return is_of_now
 
 
-def _connect(path: str, *, read_only: bool, wait: float) -> DuckDBPyConnection:
+@contextmanager
+def _locked(file: Path, wait: float) -> Iterator[None]:
+    """Lock a history for changes; the lock ends with the process at the latest."""
+    path, end = file.with_name(f"{file.name}.lock"), time.monotonic() + wait
+    while True:
+        with reported(path):
+            lock = open(path, "a+", encoding="utf-8")  # noqa: SIM115
+        with lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                lock.seek(0)
+                if time.monotonic() >= end:
+                    raise HistoryInUse(
+                        f"{file}: in use by process {lock.read()}; run this command again when "
+                        "that has finished, or with --wait S"
+                    ) from None
+                time.sleep(0.5)
+                continue
+            if not _is_at(path, os.fstat(lock.fileno())):
+                continue  # the process that held it has removed it since
+            lock.truncate(0)
+            lock.write(str(os.getpid()))
+            lock.flush()
+            try:
+                yield
+            finally:
+                path.unlink()
+            return
+
+
+def _is_at(path: Path, status: os.stat_result) -> bool:
+    """Whether an open file is still the one of this name."""
+    with suppress(FileNotFoundError):
+        return os.path.samestat(path.stat(), status)
+    return False
+
+
+def _connect(opened: Path, path: str, read_only: bool) -> DuckDBPyConnection:
     try:
         import duckdb
     except ImportError:
         raise MissingDependency(
             "fleets need duckdb; install it with: pip install 'lieid-casadi[fleet]'"
         ) from None
-    end = time.monotonic() + wait
-    while True:
-        try:
-            return duckdb.connect(path, read_only=read_only, config={"memory_limit": MEMORY})
-        except duckdb.Error as error:
-            text = str(error)
-            if "lock" not in text:
-                raise FleetError(
-                    f"{path}: not a DuckDB file; expected a history that lieid fleet wrote "
-                    f"({reason_of(error)})"
-                ) from None
-            if time.monotonic() >= end:
-                process = re.search(r"PID (\d+)", text)
-                holder = f"process {process[1]}" if process else "another process"
-                raise HistoryInUse(
-                    f"{path}: in use by {holder}; run this command again when that has finished, "
-                    "or with --wait S"
-                ) from None
-            time.sleep(0.5)
+    try:
+        return duckdb.connect(str(opened), read_only=read_only, config={"memory_limit": MEMORY})
+    except duckdb.Error as error:
+        raise FleetError(
+            f"{path}: not a history of lieid fleet, or a program has it open for changes "
+            f"({reason_of(error)})"
+        ) from None
 
 
 def _prepare(connection: DuckDBPyConnection, path: str) -> None:

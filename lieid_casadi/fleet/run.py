@@ -29,7 +29,7 @@ from lieid_casadi.robot import Robot
 
 LOG = logging.getLogger(__name__)
 ARMS_AT_ONCE = 200  # whose finished runs are read by one query
-SNAPSHOT_SECONDS = 300.0  # after which readers get what a call has recorded so far
+PUBLISHING_PART = 0.05  # of a call's time, in which readers get what it has recorded so far
 
 
 @dataclass(frozen=True)
@@ -67,19 +67,20 @@ def run_fleet(
     LOG.info("%d arm-nights to run, %d in the history", len(todo.nights), todo.finished)
     counts: Counter[str] = Counter()
     faults: list[str] = []
-    written = time.monotonic()
+    due = start
 
     def record(batch: Batch) -> None:
-        nonlocal written
+        nonlocal due
         history.add(batch)
         for serial, day, status, reason in batch.lines:
             counts[status] += 1
             if status in ("refused", "failed"):
                 faults.append(f"{serial}: {reason}")
                 LOG.warning("%s %s %s: %s", serial, day, status, reason)
-        if time.monotonic() - written > SNAPSHOT_SECONDS:
-            history.write_snapshot()
-            written = time.monotonic()
+        if (begin := time.monotonic()) >= due:
+            history.publish()
+            end = time.monotonic()
+            due = end + (end - begin) / PUBLISHING_PART
         if progress is not None:
             total = len(todo.nights) + len(todo.unusable)
             progress(counts.total(), total)

@@ -169,19 +169,20 @@ def test_report_export_and_acknowledge_by_command(judged, tmp_path, capsys):
         assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_history_of_an_older_schema_is_migrated(judged):
-    history, _ = judged
-    for statement in (
-        "ALTER TABLE alarms ADD COLUMN x DOUBLE", "ALTER TABLE alarms DROP COLUMN slope_low",
-        "ALTER TABLE alarms DROP COLUMN reported", "ALTER TABLE errors DROP COLUMN q_low",
-        "DROP TABLE nights", "DROP VIEW latest", "ALTER TABLE runs ALTER started TYPE TIMESTAMP",
-        "UPDATE runs SET started = '2026-01-02 03:04:05'", "UPDATE history SET schema = 1",
-    ):  # fmt: skip
-        history.connection.execute(statement)
-    history.close()
+def test_a_history_of_an_older_schema_is_migrated(judged_file, tmp_path):
+    path = shutil.copy(judged_file[0], tmp_path / "h.duckdb")
+    with History(path) as history:
+        for statement in (
+            "ALTER TABLE alarms ADD COLUMN x DOUBLE", "ALTER TABLE alarms DROP COLUMN slope_low",
+            "ALTER TABLE alarms DROP COLUMN reported", "ALTER TABLE errors DROP COLUMN q_low",
+            "DROP TABLE nights", "DROP VIEW latest",
+            "ALTER TABLE runs ALTER started TYPE TIMESTAMP",
+            "UPDATE runs SET started = '2026-01-02 03:04:05'", "UPDATE history SET schema = 1",
+        ):  # fmt: skip
+            history.connection.execute(statement)
     with pytest.raises(FleetError, match="older schema"):
-        History(history.path, read_only=True)
-    with History(history.path) as migrated:
+        History(path, read_only=True)
+    with History(path) as migrated:
         assert len(read_alarms(migrated)) == 3
         assert migrated.rows("SELECT schema FROM history") == [(SCHEMA,)]
         assert migrated.rows("SELECT count(*) FROM latest") == [(6,)]

@@ -9,6 +9,7 @@ import sys
 from datetime import date, datetime, timedelta
 from pathlib import Path
 
+import duckdb
 import numpy as np
 import pytest
 from fleet.synthetic_history import FIRST, drawn_result, write_history
@@ -172,32 +173,69 @@ def test_an_alarm_that_has_doubled_or_is_near_its_limit_is_reported_again(tmp_pa
         assert alarms_to_report(history, horizon=30) == []
 
 
-def test_a_history_may_be_read_and_copied_while_a_run_has_it_open(tmp_path, capsys):
+def calls_in(path):
+    """Number of calls, as read by another process."""
+    code = (
+        "import sys, duckdb\nhistory = duckdb.connect(sys.argv[1], read_only=True)\n"
+        "print(*history.execute('SELECT count(*) FROM calls').fetchone())"
+    )
+    return subprocess.check_output([sys.executable, "-c", code, str(path)], text=True).strip()
+
+
+def test_a_history_may_be_read_and_copied_while_a_run_changes_it(tmp_path, capsys):
     with History(tmp_path / "new.duckdb"):  # the first run, before its first batch
         assert main(["fleet", "report", str(tmp_path / "new.duckdb")]) == 0
     path = write_history(tmp_path / "h.duckdb", 5, ["A0", "A1"])
     code = (
         "import sys\nfrom lieid_casadi.fleet.history import History\n"
         "with History(sys.argv[1]) as h:\n"
-        "    h.write_snapshot()\n"  # as after each batch of a run
+        "    h.insert('calls', [(None, 1.0, '', '{}', 0)])\n"
+        "    h.publish()\n"  # as after a batch of a run
         "    h.insert('calls', [(None, 1.0, '', '{}', 0)])\n    print('open', flush=True)\n"
         "    input()\n"
     )
     command = [sys.executable, "-c", code, str(path)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen(command, **pipes) as other:
-        other.stdout.readline()
-        assert main(["fleet", "report", str(path), "--html", str(tmp_path / "r.html")]) == 0
-        assert main(["fleet", "backup", str(path), str(tmp_path / "copy.duckdb")]) == 0
-        assert "latest batch of the run in progress" in capsys.readouterr().out
-        assert main(["fleet", "retire", str(path), "A1"]) == 2
-        assert f"in use by process {other.pid}" in capsys.readouterr().err
-        os.kill(other.pid, 9)  # what it has written is in the log beside the file
+    os.link(path, tmp_path / "same")  # since DuckDB keeps one connection to a name in a process
+    with duckdb.connect(str(tmp_path / "same"), read_only=True) as reader:  # all the time
+        with subprocess.Popen(command, **pipes) as other:
+            other.stdout.readline()
+            for name in (path, tmp_path / "h.read.duckdb"):
+                assert calls_in(name) == "1"
+            assert main(["fleet", "report", str(path), "--html", str(tmp_path / "r.html")]) == 0
+            assert main(["fleet", "backup", str(path), str(tmp_path / "copy.duckdb")]) == 0
+            assert "latest batch of the run in progress" in capsys.readouterr().out
+            assert main(["fleet", "retire", str(path), "A1"]) == 2
+            assert f"in use by process {other.pid}" in capsys.readouterr().err
+            os.kill(other.pid, 9)  # what it has written since is beside the file
+        assert reader.sql("SELECT count(*) FROM runs").fetchall() == [(10,)]
+    assert calls_in(path) == "1"
     assert main(["fleet", "backup", str(path), str(tmp_path / "copy.duckdb")]) == 0
     with History(tmp_path / "copy.duckdb", read_only=True) as copy:
         assert copy.rows("SELECT count(*) FROM runs") == [(10,)]
-        assert copy.rows("SELECT count(*) FROM calls") == [(1,)]
+        assert copy.rows("SELECT count(*) FROM calls") == [(2,)]
+    assert {file.name for file in tmp_path.glob("h.*")} == {"h.duckdb", "h.read.duckdb"}
     assert main(["fleet", "backup", str(tmp_path / "none"), str(tmp_path / "x")]) == 2
+
+
+def test_what_a_killed_run_has_left_does_not_replace_a_restored_history(tmp_path):
+    path = write_history(tmp_path / "h.duckdb", 2, ["A0"])
+    shutil.copy(path, tmp_path / "backup")
+    write_history(path, 3, ["A0"])
+    for restored, count in ((False, 3), (True, 2)):
+        (tmp_path / "h.run.duckdb").write_bytes(path.read_bytes())
+        if restored:
+            shutil.copy(tmp_path / "backup", path)
+        with History(path) as history:
+            assert history.rows("SELECT count(*) FROM runs") == [(count,)]
+
+
+def test_a_file_that_is_no_history_is_left_alone(tmp_path):
+    path = tmp_path / "fit.json"
+    path.write_text("{}", encoding="utf-8")
+    with pytest.raises(FleetError, match="not a history"):
+        History(path)
+    assert [file.name for file in tmp_path.iterdir()] == ["fit.json"]
 
 
 def test_the_memory_of_a_large_history_is_bounded(tmp_path, monkeypatch):
