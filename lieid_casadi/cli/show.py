@@ -9,7 +9,7 @@ from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import warning_list
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
-from lieid_casadi.tables import Table, make_table
+from lieid_casadi.tables import Table, make_table, std_text, value_text
 
 if TYPE_CHECKING:
     from lieid_casadi.identification import Fit
@@ -103,7 +103,7 @@ def _joints(robot: Robot) -> list[dict[str, Any]]:
 def _joint_table(robot: Robot, joints: list[dict[str, Any]]) -> Table:
     rows = []
     for i, joint in enumerate(joints, start=1):
-        screw = " ".join(f"{round(x, 12) + 0.0:.4g}" for x in joint["screw"])
+        screw = " ".join(f"{round(x, 9) + 0.0:.4g}" for x in joint["screw"])
         limits = joint["limits"]
         rows.append(
             [
@@ -131,7 +131,13 @@ def _value_table(fit: Fit) -> Table:
         f"Values ({fit.method}, {effects})",
         ["parameter", "joint", "value", "std", "unit"],
         [
-            [r["expression"], r["joint"], r["value"], r["std"], r["unit"]]
+            (
+                r["expression"],
+                r["joint"],
+                value_text(r["value"], r["std"]),
+                std_text(r["std"]),
+                r["unit"],
+            )
             for r in fit.parameter_table()
         ],
     )

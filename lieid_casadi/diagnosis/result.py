@@ -262,7 +262,7 @@ def evidence_table(d: Diagnosis) -> Table:
 
 def _errors(step: Step) -> str:
     where = "" if step.joints else f" (joint {step.joint + 1})"
-    return f"{step.before:.3g} → {step.after:.3g}{where}"
+    return f"{figures(step.before)} → {figures(step.after)}{where}"
 
 
 def _degrees(step: Step) -> str | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.tables import Table, html, make_table
+from lieid_casadi.tables import Table, figures, html, make_table
 
 Verdict = Literal["sound", "doubtful", "wrong"]
 
@@ -93,9 +93,9 @@ class PremiseCheck:
         for finding in self.findings:
             before, after = finding.error_before, finding.error_after
             if before is not None:
-                rows.append((finding.premise, "as recorded", *before))
+                rows.append((finding.premise, "as recorded", *map(figures, before)))
             if after is not None:
-                rows.append(("", "corrected", *after))
+                rows.append(("", "corrected", *map(figures, after)))
         n = max((len(row) for row in rows), default=2) - 2
         return make_table(
             "Error of a plain fit, N·m",

@@ -50,7 +50,7 @@ def alternatives(screen: Screen) -> Iterator[Alternative]:
     turn = np.degrees(np.arccos(np.clip(best @ start, -1.0, 1.0)))
     if turn < LEAST_TURN:
         return
-    option = " ".join(f"{x:.4g}" for x in rpy)
+    option = " ".join(f"{x:z.4g}" for x in rpy)
     yield Alternative(
         "gravity_direction",
         (),

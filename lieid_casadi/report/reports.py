@@ -201,7 +201,12 @@ def extension_tables(extension: Extension) -> tuple[Table, Table]:
 def premises_report(robot: Robot, found: PremiseCheck) -> str:
     """Return the HTML report of a check of premises."""
     sentences = [found.sentence, *(finding.sentence for finding in found.findings)]
-    remedies = [(f.premise, f.remedy) for f in found.findings if f.remedy]
+    check = "lieid check ROBOT REC "
+    remedies = [
+        (f"correct {f.premise}", check * f.remedy.startswith("--") + f.remedy)
+        for f in found.findings
+        if f.remedy
+    ]
     wrong = {finding.premise for finding in found.findings}
     results: dict[str, list[str]] = {}
     for name in found.checked:
@@ -214,8 +219,7 @@ def premises_report(robot: Robot, found: PremiseCheck) -> str:
         f"{robot.name}: premises",
         [
             table_section("", found.table, sentences=sentences, titles=True),
-            *([table_section("What corrects it", facts=remedies)] if remedies else []),
-            *_next_commands(use),
+            *_next_commands(remedies or use),
             table_section(
                 "Tested",
                 make_table("", ("premise", "result"), rows),
@@ -243,22 +247,25 @@ def _after_comparison(fit: Fit, comparison: Comparison) -> list[tuple[str, str]]
 
 
 def _after_diagnosis(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Return the commands that separate rivals, fit the final model, and use it."""
+    """Return the commands that separate rivals, fit or find the final model, and use it."""
     found = []
     for step in diagnosis.steps:
         if step.status == "one_of" and step.rivals:
             words = shlex.join([step.label, step.rivals[0].label])
             command = f"lieid discriminate FIT {words} -o motion"
             found.append((f"separate {step.label} from its rivals", command))
-    if diagnosis.mode == "missing" and diagnosis.steps:
-        train, test = (
-            [s.name or "REC" for s in part] for part in (diagnosis.train, diagnosis.test)
-        )
-        effects = ",".join(diagnosis.fit.model.effects)
-        identify = ["lieid", "identify", "ROBOT", *train, *(["--test", *test] if test else [])]
-        identify += ["--effects", effects, "-o", "fit.json"]
-        found.append(("fit the model with these effects", shlex.join(identify)))
-        found.append(("use it in a controller", "lieid export fit.json --to c -o code"))
+    train, test = ([s.name or "REC" for s in part] for part in (diagnosis.train, diagnosis.test))
+    tested, effects = ["--test", *test] * bool(test), ",".join(diagnosis.fit.model.effects)
+    if diagnosis.steps and diagnosis.mode == "changed":
+        command = ["lieid", "diagnose", "ROBOT", "--train", *test, "-o", "fit.json"]
+        found.append(("find the model of the arm as it is now", shlex.join(command)))
+    elif diagnosis.steps:
+        command = ["lieid", "identify", "ROBOT", *train, *tested]
+        command += ["--effects", effects, "-o", "fit.json"]
+        found.append(("fit the model with these effects", shlex.join(command)))
+    if diagnosis.steps or diagnosis.verdict == "sufficient":
+        fit = "fit.json" if diagnosis.steps else "FIT"
+        found.append(("use it in a controller", f"lieid export {fit} --to c -o code"))
     return found
 
 
@@ -273,6 +280,7 @@ def payload_report(fit: Fit, payload: PayloadEstimate) -> str:
         [
             table_section("", sentences=[payload.sentence]),
             _payload(payload),
+            *_next_commands(_after_payload(payload)),
             picture_section("Error per joint", payload.plot(), note),
             _warnings(payload.warnings, fit.warnings),
             *fit_sections(fit),
@@ -412,6 +420,12 @@ def _payload(payload: PayloadEstimate) -> Section:
         text={"", "unit"},
         weak=[not row["identified"] for row in rows],
     )  # fmt: skip
+
+
+def _after_payload(payload: PayloadEstimate) -> list[tuple[str, str]]:
+    if not payload.not_identified:
+        return []
+    return [("move the payload so that all of it acts", "lieid excite FIT -o motion")]
 
 
 def _payload_row(row: dict[str, Any]) -> tuple[object, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from math import isfinite
 
 import numpy as np
 from nicegui import ui
@@ -23,7 +24,6 @@ from lieid_casadi.workbench.elements import (
 from lieid_casadi.workbench.workbench import Workbench
 
 FRAME = 0.1  # s between poses of the replay
-CLASSES = ("noise", "≤ 2 ×", "≤ 5 ×", "more")
 BASE, SELECTED = "#d3d9de", "#10243a"
 
 
@@ -146,12 +146,13 @@ class ArmView(View):
         self._opened: object = None
         self._colours: list[str] = []
         self._instant: float | None = None
-        with ui.column().classes("panel w-full h-full"):
-            with ui.row().classes("w-full items-center gap-2 no-wrap"):
+        with ui.column().classes("panel w-full"):
+            with ui.row().classes("w-full items-center gap-1 no-wrap") as legend:
                 ui.label("Arm").classes("panel-title grow")
-                for text, colour in zip(CLASSES, [c for _, c in SCALE], strict=True):
+                for most, colour in SCALE:
                     ui.element("span").classes("swatch").style(f"background: {colour}")
-                    ui.label(text).classes("small muted")
+                    ui.label(f"≤ {most:g} ×" if isfinite(most) else "more").classes("small muted")
+            legend.props["title"] = "error over noise floor"
             self._arm = ArmScene(moved=moved, clicked=self._select)
 
     def _select(self, link: int) -> None:

@@ -255,6 +255,7 @@ class FindingsView(View):
         missing = [] if found is None else [p for p in found.proposed if p.label not in present]
         self._all.text = f"Add all {len(missing)}" if len(missing) > 1 else "Add it"
         self._all.set_visibility(bool(missing) and not searching)
+        self._list.element.classes(replace=f"parts findings {'' if missing else 'added'}")
         if self.is_new(found, present, searching):
             shown = None if searching else found
             self._list.show(*(_findings(shown, session.error_name, present) if shown else ()))
@@ -294,7 +295,7 @@ def _finding(proposed: ProposedEffect, kind: str, *, present: bool) -> Markup:
             tip=STATUS_MEANING[proposed.status],
         ),
         _atlas(label),
-        cut_part("grow ellipsis muted", proposed.sentence or proposed.value),
+        part("grow muted", proposed.sentence or proposed.value),
     ]  # fmt: skip
     if before and after is not None:
         change = f"{100.0 * (after / before - 1.0):+.0f} %"

@@ -83,7 +83,7 @@ class JointsView(View):
             error = f"{figures(errors.shown[j])} {opened.units[j]}"
             noise = f"noise {figures(errors.noise_floor[j])}"
             over, percent = ratio(errors.shown[j], errors.noise_floor[j]), errors.fit_percent(j)
-            multiple = "" if over is None else f"{over:.1f} ×"
+            multiple = "" if over is None else f"{over:.2f} ×"
             fit = "" if percent is None else f"{percent:.1f} % fit"
             colour = ratio_colour(over)
             if workbench.compared is not None:
@@ -92,13 +92,13 @@ class JointsView(View):
             f"joint-row {state or preliminary} {inexact} {selected}",
             part("swatch", style=f"background: {colour}"),
             cut_part("joint-name", f"{number} {opened.joint_names[j]}"),
-            cut_part("number compared", other, id=f"compared-{number}") if other else "",
             cut_part("number strong", error, id=f"error-{number}"),
             part(
                 "joint-facts muted small",
                 cut_part("number noise", noise or MISSING, id=f"noise-{number}"),
                 cut_part("number noise", multiple),
                 cut_part("number", fit, id=f"fit-percent-{number}"),
+                cut_part("number compared", other, id=f"compared-{number}") if other else "",
             ),
             id=f"joint-{number}",
             action=str(j),
@@ -255,7 +255,7 @@ class WaterfallView(View):
 
     def __init__(self, workbench: Workbench) -> None:
         super().__init__(workbench)
-        with ui.column().classes("panel w-full h-full"):
+        with ui.column().classes("panel w-full"):
             self._title = text("Error of the models, first model = 1", "panel-title")
             self._chart = Chart("waterfall", **_waterfall([], None))
 

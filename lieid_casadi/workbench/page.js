@@ -120,7 +120,7 @@ const CHARTS = {
     const values = d.panels.flatMap((p) => kinds.flatMap(([, key]) => p[key].map((xy) => xy[1])));
     const sizes = values.map(Math.abs).sort((a, b) => a - b);
     const inside = sizes[Math.floor(0.995 * sizes.length)] || 1;  // a few samples are outside
-    const limit = Number((1.1 * inside).toPrecision(2));
+    const limit = 2 * Number((0.55 * inside).toPrecision(2));
     return {
       ...beside(d.panels.map((p) => `${p.title} [${p.unit}]`), `error [${d.unit}]`,
         around(limit)),
@@ -178,7 +178,7 @@ const CHARTS = {
     return {
       animation: d.playing,
       animationDurationUpdate: 300,
-      grid: { left: 46, right: 8, top: 50, bottom: 34 },
+      grid: { left: 46, right: 8, top: d.models.length > 2 ? 48 : 30, bottom: 34 },
       legend: { type: 'plain', top: 0, left: 0, itemWidth: 12, itemHeight: 8, itemGap: 8,
         textStyle: { fontSize: 11 } },
       tooltip: { trigger: 'axis' },
@@ -188,7 +188,7 @@ const CHARTS = {
         nameLocation: 'middle', nameGap: 32 },
       series: [
         ...d.models.map(({ name, color, errors }, k) => (
-          { id: `model ${k}`, type: 'bar', name, color, barGap: '8%', data: errors })),
+          { id: `model ${k}`, type: 'bar', name, color, barGap: '8%', barMaxWidth: 40, data: errors })),
         mark('training', d.training, { symbol: 'diamond', symbolSize: 9,
           itemStyle: { color: 'white', borderColor: '#222222', borderWidth: 1.2 } }),
         mark('noise floor', d.noise, { symbol: 'rect', symbolSize: [26, 2] }),

@@ -55,13 +55,12 @@ def build_page(workbench: Workbench, token: str) -> Callable[[], None]:
     views: list[View] = [toolbar, panel, PremisesView(workbench), FindingsView(workbench)]
     with ui.element("div").classes("columns"):
         with ui.column().classes("side"):
-            views += [JointsView(workbench), HistoryView(workbench), DifferenceView(workbench)]
+            views.append(JointsView(workbench))
+            views.append(ArmView(workbench, lambda time: torque.move_cursor(time)))
+            views += [HistoryView(workbench), DifferenceView(workbench)]
         with ui.column().classes("middle"):
-            with ui.element("div").classes("top-row"):
-                arm = ArmView(workbench, lambda time: torque.move_cursor(time))
-                views += [arm, WaterfallView(workbench)]
-            overview, torque = Overview(workbench), TorquePlot(workbench)
-            views += [overview, torque, ResidualPlot(workbench)]
+            views += [WaterfallView(workbench), Overview(workbench)]
+            views += [torque := TorquePlot(workbench), ResidualPlot(workbench)]
             with ui.element("div").classes("pair"):
                 views += [CorrelationPlot(workbench), SpectrumPlot(workbench)]
         with ui.column().classes("side"):

@@ -75,13 +75,13 @@ class TorquePlot(View):
         self._selection: tuple[float, float] | None = None
         with ui.column().classes("panel w-full"):
             with ui.row().classes("w-full items-center gap-2 no-wrap"):
-                self._title = text("Torque", "panel-title grow")
-                self._recording = ui.select([], on_change=self._choose_recording)
-                self._recording.props("dense borderless options-dense").classes("choice")
-                named(self._recording, "recording")
-            with ui.row().classes("w-full items-center gap-2 no-wrap"):
+                self._title = text("Torque", "panel-title")
                 hint = "drag: select; wheel: zoom; click: show on the arm"
                 text(hint, "muted small grow ellipsis")
+            with ui.row().classes("w-full items-center gap-2 no-wrap"):
+                self._recording = ui.select([], on_change=self._choose_recording)
+                self._recording.props("dense borderless options-dense").classes("choice grow")
+                named(self._recording, "recording")
                 self._range = ui.input("select from to, s").props("dense").classes("range")
                 named(self._range, "range").on("keydown.enter", self._select_range)
                 self._exclude = button(
