@@ -257,12 +257,12 @@ def _after_diagnosis(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     train, test = ([s.name or "REC" for s in part] for part in (diagnosis.train, diagnosis.test))
     tested, effects = ["--test", *test] * bool(test), ",".join(diagnosis.fit.model.effects)
     if diagnosis.steps and diagnosis.mode == "changed":
-        command = ["lieid", "diagnose", "ROBOT", "--train", *test, "-o", "fit.json"]
-        found.append(("find the model of the arm as it is now", shlex.join(command)))
+        again = ["lieid", "diagnose", "ROBOT", "--train", *test, "-o", "fit.json"]
+        found.append(("find the model of the arm as it is now", shlex.join(again)))
     elif diagnosis.steps:
-        command = ["lieid", "identify", "ROBOT", *train, *tested]
-        command += ["--effects", effects, "-o", "fit.json"]
-        found.append(("fit the model with these effects", shlex.join(command)))
+        again = ["lieid", "identify", "ROBOT", *train, *tested]
+        again += ["--effects", effects, "-o", "fit.json"]
+        found.append(("fit the model with these effects", shlex.join(again)))
     if diagnosis.steps or diagnosis.verdict == "sufficient":
         fit = "fit.json" if diagnosis.steps else "FIT"
         found.append(("use it in a controller", f"lieid export {fit} --to c -o code"))

@@ -83,7 +83,7 @@ class JointsView(View):
             error = f"{figures(errors.shown[j])} {opened.units[j]}"
             noise = f"noise {figures(errors.noise_floor[j])}"
             over, percent = ratio(errors.shown[j], errors.noise_floor[j]), errors.fit_percent(j)
-            multiple = "" if over is None else f"{over:.2f} ×"
+            multiple = "" if over is None else f"{figures(over)} ×"
             fit = "" if percent is None else f"{percent:.1f} % fit"
             colour = ratio_colour(over)
             if workbench.compared is not None:
@@ -229,7 +229,8 @@ def _joint_svg(
     if not series:
         return Markup(), ""
     start, end = series[0].time[0], series[-1].time[-1]
-    size = max(float(np.abs(s.measured[:, joint]).max()) for s in series) or 1.0
+    torques = [torque[:, joint] for s in series for torque in (s.measured, s.predicted)]
+    size = max(float(np.abs(torque).max()) for torque in torques) or 1.0
     error = max(float(np.abs(s.error[:, joint]).max()) for s in series) or 1.0
     band = 14.0 * min((floor or 0.0) / error, 1.0)
     lines = [f'<rect x="0" width="200" y="{76 - band:.1f}" height="{2 * band:.1f}" fill="{BAND}"/>']

@@ -246,8 +246,9 @@ class _ColumnsDialog:
                 button("Use", "use-columns", lambda: self._use(done), "unelevated")
                 button("Close", "close-columns", self._dialog.close)
 
-    def _select(self, test_id: str, label: str, options: Iterable[str] = ()) -> ui.select:
-        made = ui.select(list(options), label=label).props("dense options-dense")
+    def _select(self, test_id: str, label: str, units: Iterable[str] = ()) -> ui.select:
+        made = ui.select(list(units), label=label, value=next(iter(units), None))
+        made.props("dense options-dense")
         return named(made, test_id).classes("column-choice").on_value_change(self._preview)
 
     def show(self, recordings: list[RecordingInput], units: str) -> None:

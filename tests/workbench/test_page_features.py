@@ -186,6 +186,7 @@ def test_files_are_dropped_and_their_columns_assigned(start, browse, two_link_fi
     assert page.driver.current_url.startswith(server.url.partition("?")[0])
     a_bad_file_is_one_line_beside_the_field(page, tmp_path)
     assert page.number("error-1") == before  # what was open stays
+    assert server.stop() == (0, "")
 
 
 def a_bad_file_is_one_line_beside_the_field(page, folder):
