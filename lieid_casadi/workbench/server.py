@@ -41,6 +41,7 @@ from lieid_casadi.workbench.session import (
     WorkerSetup,
     is_name,
     load_session,
+    page_token,
     remove_old_sessions,
 )
 from lieid_casadi.workbench.workbench import Workbench
@@ -220,7 +221,7 @@ def serve_pages(
     """
     logging.getLogger("nicegui").setLevel(logging.ERROR)
     with listening_socket(port) as listener:
-        token = secrets.token_urlsafe(24)
+        token = page_token()
         url = f"http://{LOOPBACK}:{port}/?token={token}"
         pages(token)
         nicegui_app.on_startup(_without_process_pool)

@@ -6,9 +6,12 @@ by their owner alone, and nothing in them is executed.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+import secrets
 import shutil
+import stat
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,6 +37,7 @@ START = "first model"
 SCHEMA = 2
 KEPT_DAYS = 30.0
 _NAME = re.compile(r"[0-9a-f]{16}")
+_TOKEN = re.compile(r"[\w-]{32}", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -349,6 +353,24 @@ def session_folder() -> Path:
     state = Path(os.environ.get("XDG_STATE_HOME", ""))
     base = state if state.is_absolute() else Path.home() / ".local" / "state"
     return base / "lieid-casadi" / "workbench"
+
+
+def page_token() -> str:
+    """Return the token of this user's pages: an open page stays valid when its server starts again.
+
+    It is kept for a month in a file that its owner alone can read.
+    """
+    file = session_folder() / "token"
+    with contextlib.suppress(OSError, UnicodeError):
+        facts, known = file.lstat(), file.read_text("ascii")
+        own = stat.S_ISREG(facts.st_mode) and facts.st_uid == os.getuid()
+        new = time.time() - facts.st_mtime < KEPT_DAYS * 86400.0
+        if own and new and not facts.st_mode & 0o077 and _TOKEN.fullmatch(known):
+            return known
+    made = secrets.token_urlsafe(24)
+    with contextlib.suppress(LieidError), atomic_binary(file, private=True) as written:
+        written.write(made.encode())
+    return made
 
 
 def upload_file(session: str, name: str) -> Path:

@@ -68,9 +68,11 @@ VIEWS = (
 class Server:
     """``lieid workbench WORDS``, or a program with a page, with its own folder of sessions."""
 
-    def __init__(self, *words: str, folder: Path, program: Sequence[str] = WORKBENCH) -> None:
+    def __init__(
+        self, *words: str, folder: Path, program: Sequence[str] = WORKBENCH, port: int = 0
+    ) -> None:
         for _ in range(PORTS):
-            self.port = free_port()
+            self.port = port or free_port()
             option = "--port" if program[-1] == "workbench" else "--page"
             port = (option, str(self.port), "--no-browser")
             self._start(*program, *words, *port, folder=folder)

@@ -122,11 +122,10 @@ def test_tabs_reload_and_a_killed_server(start, browse, two_link_files):
     first.wait(lambda: first.number("error-1") == larger, "the session after a reload")
     first.click("save-fit")
     first.downloaded("fit.json")
-    name = first.driver.current_url.partition("session=")[2]
     _, errors = server.stop(signal.SIGKILL)
     assert errors == ""
-    again = start("two_link", *map(str, two_link_files))
-    first.driver.get(f"{again.url}&session={name}")
+    start("two_link", *map(str, two_link_files), port=server.port)
+    first.driver.refresh()
     first.wait(lambda: first.number("error-1") == larger, "the session after the server was killed")
     first.wait(lambda: first.elements("effect-coulomb-1"), "the effects")
     assert not first.elements("effect-viscous-1")

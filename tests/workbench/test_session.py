@@ -21,6 +21,7 @@ from lieid_casadi.workbench.session import (
     WorkbenchInputs,
     kept_parts,
     load_session,
+    page_token,
     remove_old_sessions,
     save_session,
     upload_file,
@@ -105,6 +106,18 @@ def test_a_saved_session_is_read_back(folder):
     os.utime(folder / f"{NAME}.json", (1.0, 1.0))
     remove_old_sessions()
     assert [path.name for path in folder.iterdir()] == [f"{'f' * 16}.json"]
+
+
+def test_the_token_stays_while_its_file_is_private_and_new(folder):
+    file, token = folder / "token", page_token()
+    assert page_token() == token
+    assert file.stat().st_mode & 0o777 == 0o600
+    file.chmod(0o644)
+    assert (other := page_token()) != token
+    os.utime(file, (1.0, 1.0))
+    assert page_token() != other
+    file.write_text("")
+    assert len(page_token()) == 32
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b'{"schema": 1, "session": 3}', b"\xff"])
