@@ -163,7 +163,7 @@ def report(args: argparse.Namespace) -> output.Outcome:
     --html FILE: output  write the report
     --json FILE: output  write the alarms as JSON
     """
-    from lieid_casadi.fleet.alarms import evidence, read_alarms
+    from lieid_casadi.fleet.alarms import advice, evidence, read_alarms
     from lieid_casadi.fleet.fleet_report import alarm_table, fleet_report
     from lieid_casadi.fleet.history import History
     from lieid_casadi.fleet.judging import outlier_table, outliers
@@ -175,9 +175,8 @@ def report(args: argparse.Namespace) -> output.Outcome:
             "outliers": [vars(outlier) for outlier in unlike],
         }
         page = fleet_report(history) if args.html is not None else ""
-    active = [alarm for alarm in alarms if alarm.closed is None]
-
-    actions = [f"{alarm.serial}: {alarm.sentence}. Action: {alarm.action}." for alarm in active]
+        active = [alarm for alarm in alarms if alarm.closed is None]
+        actions = [f"{alarm.serial}: {advice(history, alarm)}" for alarm in active]
     shown: list[str | Table] = [alarm_table(active, with_action=False)]
     shown += [*(actions or ["No open alarm."]), outlier_table(unlike)]
     return output.Outcome(shown, json=content, html=lambda: page)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import shlex
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from typing import Any
 
 import numpy as np
 
-from lieid_casadi.errors import FleetError
+from lieid_casadi.effects.placement import labels as specs
+from lieid_casadi.errors import FleetError, LieidError
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.judging import (
@@ -22,6 +24,8 @@ from lieid_casadi.fleet.judging import (
     label_of,
 )
 from lieid_casadi.fleet.night_result import Finding
+from lieid_casadi.fleet.recordings import local_copy
+from lieid_casadi.identification import Fit
 
 #: What to do about an effect, or about a kind of effects by a part of their name.
 ACTIONS = {
@@ -93,11 +97,15 @@ SEVERITY_NIGHTS = 3  # latest nights over which the severity is taken
 FARTHEST_DATE = date(9999, 1, 1).toordinal()
 
 
-def updated_alarms(open_alarms: Sequence[Alarm], judged: JudgedArm) -> list[Alarm]:
+def updated_alarms(
+    open_alarms: Sequence[Alarm], judged: JudgedArm, closed: Sequence[Alarm] = ()
+) -> list[Alarm]:
     """Return the open alarms of an arm after a night: those before it, and at most one new one.
 
     Quantities that belong to an open alarm raise no other. All further significant quantities
-    together raise one alarm, with the beginning of the most significant.
+    together raise one alarm, with the beginning of the most significant. After an alarm that was
+    closed though its cause lasts, the fit does not describe the arm either: only the same effect
+    or one that the diagnoses of two nights name raises another.
     """
     alarms = [_continued(alarm, judged) for alarm in open_alarms]
     owned = frozenset[str]().union(*(alarm.labels for alarm in alarms))
@@ -109,6 +117,9 @@ def updated_alarms(open_alarms: Sequence[Alarm], judged: JudgedArm) -> list[Alar
     if alarms and news[0].since == judged.arm.dates[-1]:
         return alarms  # one night does not show whether it has another cause
     new = _described(judged.arm, changed, news[0].since)
+    lasting = {(a.quantity, a.joint) for a in closed if _lasts(a, judged.arm)}
+    if lasting and (new.quantity, new.joint) not in lasting and not _is_found(new, judged.arm):
+        return alarms
     labels = {item.label for item in news} | {label_of(new.quantity, new.joint)}
     new = replace(new, series=",".join(sorted(labels)))
     for k, alarm in enumerate(alarms):
@@ -116,6 +127,19 @@ def updated_alarms(open_alarms: Sequence[Alarm], judged: JudgedArm) -> list[Alar
             alarms[k] = replace(alarm, series=",".join(sorted(alarm.labels | new.labels)))
             return alarms
     return [*alarms, new]
+
+
+def _lasts(alarm: Alarm, arm: ArmHistory) -> bool:
+    """Whether the diagnoses since an alarm was closed still find its effect on most nights."""
+    nights = zip(arm.dates, arm.found, strict=True)
+    after = [found for night, found in nights if night > (alarm.closed or night)][-LATEST_NIGHTS:]
+    own = sum((alarm.quantity, alarm.joint) in found for found in after)
+    return own > 0 and own >= NAMING_PART * len(after)
+
+
+def _is_found(new: Alarm, arm: ArmHistory) -> bool:
+    """Whether the diagnoses of two nights name the effect of a new alarm."""
+    return len(_named(arm, new.since).get((new.quantity, new.joint), [])) >= 2
 
 
 def _is_same(alarm: Alarm, new: Alarm, arm: ArmHistory) -> bool:
@@ -127,8 +151,7 @@ def _is_same(alarm: Alarm, new: Alarm, arm: ArmHistory) -> bool:
     if alarm.joint == new.joint:
         return True
     nights = sum(min(alarm.since, new.since) < d <= max(alarm.since, new.since) for d in arm.dates)
-    own = _named(arm, new.since).get((new.quantity, new.joint), [])
-    return nights <= SAME_BEGINNING or len(own) < 2
+    return nights <= SAME_BEGINNING or not _is_found(new, arm)
 
 
 def _continued(alarm: Alarm, judged: JudgedArm) -> Alarm:
@@ -138,8 +161,8 @@ def _continued(alarm: Alarm, judged: JudgedArm) -> Alarm:
     diagnoses find the effect of the alarm, which they found before that as well, this is no news.
     """
     own = [c for c in judged.changed if c.label in alarm.labels]
-    if not own and not any(r.label in alarm.labels for r in judged.repeated):
-        return alarm
+    if not own and not any(r.label in alarm.labels for r in judged.repeated):  # or not any more
+        return replace(alarm, last=min([alarm.last, *judged.arm.dates[-2:-1]]))
     effect, since = (alarm.quantity, alarm.joint), own[0].since if own else alarm.since
     if not own and not _named(judged.arm, since):
         return replace(alarm, last=judged.arm.dates[-1])
@@ -345,7 +368,8 @@ def alarms_after(
     new: list[Alarm] = []
     for serial, each in judged.items():
         own = [a for a in alarms if a.serial == serial and a.closed is None]
-        after = updated_alarms(own, each)
+        closed = [a for a in alarms if a.serial == serial and a.closed is not None]
+        after = updated_alarms(own, each, closed)
         kept += after
         new += after[len(own) :]
     return kept, new
@@ -381,16 +405,27 @@ def evidence(history: History, alarm: Alarm) -> dict[str, Any]:
     return fields | {"action": alarm.action, "recording": recording, "command": command}
 
 
+def advice(history: History, alarm: Alarm) -> str:
+    """Return what is known of an alarm, what to do about it, and the command to see it."""
+    command = evidence(history, alarm)["command"]
+    seen = f" To see it: {command}" if command else ""
+    return f"{alarm.sentence}. Action: {alarm.action}.{seen}"
+
+
 def identify_again(history: History, alarm: Alarm) -> str:
     """Return what to do with an arm that differs from its fit since an alarm: identify it again."""
     rows = _latest_recordings(history, alarm)
-    recordings = shlex.join(recording for recording, *_ in rows)
+    recordings = [recording for recording, *_ in rows]
     old, first = rows[0][2] if rows else "", alarm.last + timedelta(days=1)
-    new = f"{alarm.serial}-{first}.json"
+    new, robot, effects = f"{alarm.serial}-{first}.json", "ROBOT", list[str]()
+    with suppress(LieidError), local_copy(old) as path:
+        model = Fit.load(path).model
+        robot, effects = old, ["--effects", ",".join(specs(model.placements, model.n))]
+    command = shlex.join(["lieid", "identify", robot, *recordings, *effects, "-o", new])
     return (
-        f"identify the arm again: lieid identify ROBOT {recordings} -o {new}, and in the fleet "
-        f"file fit: [{{path: {old}}}, {{path: {new}, from: {first}}}]. With the old fit another "
-        "motion can look like a change."
+        f"identify the arm again: {command}, and in the fleet file fit: [{{path: {old}}}, "
+        f"{{path: {new}, from: {first}}}]. As long as the diagnoses find this change, only effects "
+        "that they find raise another alarm."
     )
 
 

@@ -24,7 +24,7 @@ SAME_MOTION, SAME_POSITION = 0.05, 0.01
 LEAST_ERROR_SCATTER = 0.02  # of the logarithm of an error: its unit of scale
 ARMS_AT_ONCE = 250  # that are read by one query, which scans whole tables
 #: Runs of the present fit of some arms, numbered night by night (k); of a recording that was run
-#: twice, the later one. Of nights before the latest ones only some are kept.
+#: twice, also at another place, the later one. Of nights before the latest ones only some are kept.
 KEPT = f"""
 CREATE OR REPLACE TEMP TABLE kept AS
 WITH used AS (
@@ -33,7 +33,8 @@ WITH used AS (
     WHERE r.status = 'done' AND r.serial BETWEEN $first AND $last AND NOT EXISTS (
         SELECT 1 FROM maintenance m
         WHERE m.serial = r.serial AND r.date BETWEEN m.first AND m.last)
-    QUALIFY row_number() OVER (PARTITION BY r.serial, r.recording ORDER BY r.started DESC) = 1
+    QUALIFY row_number() OVER (PARTITION BY r.serial, recording ORDER BY started DESC) = 1
+        AND row_number() OVER (PARTITION BY r.serial, recording_sha256 ORDER BY started DESC) = 1
 ), aged AS (
     SELECT *, row_number() OVER (PARTITION BY serial ORDER BY date DESC, started DESC) AS age,
         count(*) OVER (PARTITION BY serial) AS total

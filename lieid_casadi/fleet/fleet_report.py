@@ -11,7 +11,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison.plot_style import ERROR as ERROR_COLOUR
 from lieid_casadi.comparison.plot_style import GRID, SMALL, new_figure, title
-from lieid_casadi.fleet.alarms import Alarm, read_alarms
+from lieid_casadi.fleet.alarms import Alarm, advice, read_alarms
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.judging import outlier_table, outliers
@@ -95,7 +95,15 @@ def fleet_report(history: History) -> str:
         table_section("Recordings that cannot be used", recording_table(history), links=links),
         table_section("Acknowledged alarms", closed_table(alarms), links=links, folded=True),
     ]
-    pages = [_arm_section(arm, [a for a in alarms if a.serial == arm.serial]) for arm in arms]
+    advised = {arm.serial: list[str]() for arm in arms}
+    for alarm in active:
+        advised.get(alarm.serial, []).append(advice(history, alarm))
+    pages = [
+        _arm_section(
+            arm, [a for a in alarms if a.serial == arm.serial], " ".join(advised[arm.serial])
+        )
+        for arm in arms
+    ]
     return render("Fleet", [*sections, *pages])
 
 
@@ -165,13 +173,11 @@ def closed_table(alarms: Sequence[Alarm]) -> Table:
     return make_table("Acknowledged", headings, rows)
 
 
-def _arm_section(arm: ArmHistory, alarms: Sequence[Alarm]) -> Section:
-    active = [alarm for alarm in alarms if alarm.closed is None]
-    note = " ".join(f"{a.sentence}. Action: {a.action}." for a in active)
+def _arm_section(arm: ArmHistory, alarms: Sequence[Alarm], note: str) -> Section:
     picture = {
         "uri": data_uri(plot_trends(arm, alarms), dpi=80.0, colors=64),
         "alt": f"trends of {arm.serial}",
         "note": note or "No open alarm.",
     }
     title = f"{arm.serial} ({arm.robot})"
-    return Section(title, "picture.html", picture, folded=not active)
+    return Section(title, "picture.html", picture, folded=not note)

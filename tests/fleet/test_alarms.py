@@ -134,10 +134,29 @@ def test_another_motion_neither_renames_an_alarm_nor_raises_another(tmp_path, ni
     assert alarms["payload"].last == FIRST + timedelta(days=14)
 
 
+@pytest.mark.parametrize("nights_found", [1, 4])
+def test_after_a_lasting_change_only_what_diagnoses_find_raises_an_alarm(tmp_path, nights_found):
+    def loaded(serial, k):
+        if serial != "A0" or k < 5:
+            return {}
+        again = [("viscous", 2, 0.2)] if 15 <= k < 15 + nights_found else []
+        moved = {("coulomb.f_c", 1): 3.0, ("viscous.f_v", 2): 3.0} if k >= 15 else {}
+        return {"errors": {1: 1.3}, "grown": moved, "findings": [("payload", None, 0.8), *again]}
+
+    path = tmp_path / "h.duckdb"
+    for nights in (10, 19):
+        write_history(path, nights, ARMS, loaded)
+        with History(path) as history:
+            judge_new_nights(history)
+            if nights == 10:
+                acknowledge(history, "A0", note="the body stays")
+            alarms = [alarm.quantity for alarm in read_alarms(history, open_only=True)]
+    assert alarms == ([] if nights_found == 1 else ["viscous"])
+
+
 @pytest.mark.slow
-def test_report_export_and_acknowledge_by_command(judged, tmp_path, capsys):
-    history, _ = judged
-    history.close()
+def test_report_export_and_acknowledge_by_command(judged_file, tmp_path, capsys):
+    shutil.copy(judged_file[0], tmp_path / "h.duckdb")
     path, page, metrics = (str(tmp_path / name) for name in ("h.duckdb", "r.html", "fleet.prom"))
     assert main(["fleet", "report", path, "--html", page, "--json", str(tmp_path / "a.json")]) == 0
     shown = capsys.readouterr().out

@@ -112,9 +112,7 @@ def test_a_payload_from_a_night_on_reruns_no_earlier_night(call, capsys):
     assert "New alarm" not in capsys.readouterr().out.partition("2 done")[2]
     path = str(call.folder / "h.duckdb")
     assert main(["fleet", "acknowledge", path, "A1", "--note", "known"]) == 0
-    (shown,) = re.findall("lieid identify ROBOT (.*) -o", " ".join(capsys.readouterr().out.split()))
-    recordings = shown.split()  # of which each has two runs: without the payload, and with it
-    assert [Path(each).name for each in recordings] == [f"{LAST}.csv", "2026-01-03.csv"]
+    assert "identify" not in capsys.readouterr().out  # it is as the fleet file states
 
 
 def test_a_new_fit_starts_a_baseline_and_closes_the_alarms_before_it(call):
@@ -255,7 +253,7 @@ def test_the_memory_of_a_large_history_is_bounded(tmp_path, monkeypatch):
         assert history.rows("SELECT count(DISTINCT run_id) FROM runs") == [(160_004,)]
 
 
-def test_results_are_computed_again_for_another_method_and_only_if_asked(call, monkeypatch):
+def test_results_are_computed_again_for_another_method_and_only_if_asked(call, capsys):
     call()
     with History(call.folder / "h.duckdb") as history:
         history.connection.execute("UPDATE runs SET method = 1, run_id = 'old' || run_id")
@@ -265,6 +263,31 @@ def test_results_are_computed_again_for_another_method_and_only_if_asked(call, m
     assert len(call.ran) == 8
     call("--rerun")
     assert call.ran == []
+    path = str(call.folder / "h.duckdb")
+    assert main(["fleet", "acknowledge", path, "A1", "--note", "it stays"]) == 0
+    (shown,) = re.findall(r"lieid (identify .* --effects .*?) -o", capsys.readouterr().out)
+    assert [Path(word).name for word in shown.split()] == [
+        "identify", "A1.json", f"{LAST}.csv", "2026-01-03.csv", "--effects",
+        "coulomb,viscous,offset",
+    ]  # fmt: skip
+    assert main([*shown.split(), "-o", str(call.folder / "new.json")]) == 0
+
+
+def test_a_recording_that_was_moved_and_run_again_is_one_night(call):
+    call()
+    folder = call.folder / "nights"
+    (folder / "moved").mkdir()
+    shutil.move(folder / "A1", folder / "moved/A1")
+    old = "recordings: nights/A1/*.csv"
+    edit(
+        call.folder,
+        old,
+        "recordings: nights/moved/A1/*.csv\n    payload: {mass: 1, com: [0, 0, 0]}",
+    )
+    assert call() == 0
+    assert len(call.ran) == 4
+    with History(call.folder / "h.duckdb", read_only=True) as history:
+        assert [len(arm.dates) for arm in read_arms(history)] == [4, 4]
 
 
 def test_workers_of_another_minor_version_are_refused_by_name(call, monkeypatch, capsys):
