@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.errors import LieidError, PremiseError, RecordError, UsageError
+from lieid_casadi.errors import PremiseError, RecordError, UsageError
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.experiments.motion import PlannedMotion
 from lieid_casadi.identification import Fit
 from lieid_casadi.model import Model
-from lieid_casadi.premises import check
+from lieid_casadi.premises import check_where_possible
 from lieid_casadi.recording import Recording
 
 PATIENCE = 20.0  # s that a command has to end by itself after Ctrl-C
@@ -125,19 +125,10 @@ def doubts(
 
 def check_premises(model: Model, recording: Recording) -> list[str]:
     """Return doubtful premises in sentences; one that is certainly wrong is a `PremiseError`."""
-    if recording.tau is None or recording.command is not None:
-        return []  # torques of drive laws are assumptions themselves
-    try:
-        found = check(model, [recording])
-    except LieidError:
-        return []  # too short for this test
-    sentences = [finding.sentence for finding in found.findings]
-    if found.verdict == "wrong":
-        raise PremiseError(
-            f"robot and recording do not belong together: {sentences[0]} Correct it, or continue "
-            "with --despite-check"
-        )
-    return sentences
+    found = check_where_possible(model, [recording])
+    if found.refusal:
+        raise PremiseError(f"{found.refusal} Correct it, or continue with --despite-check")
+    return [finding.sentence for finding in found.findings]
 
 
 def deviation(motion: MotionSamples, recording: Recording) -> tuple[float, Array]:

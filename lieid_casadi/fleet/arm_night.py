@@ -34,7 +34,7 @@ from lieid_casadi.identification.regression.least_squares import (
 )
 from lieid_casadi.identification.uncertainty.covariance import prior_rows
 from lieid_casadi.json_numbers import number_or_none
-from lieid_casadi.premises import PremiseCheck, check
+from lieid_casadi.premises import check_where_possible
 from lieid_casadi.premises.correction import correction_of, load_by_columns
 from lieid_casadi.recording import Recording, process, require_plausible_units
 from lieid_casadi.recording.readers.registry import hash_of_file
@@ -142,7 +142,9 @@ def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
     fit, recording = load_night(night, fit_content, path)
     rows = NightRows.of(fit, recording)
     if (rows.errors(fit.values) > SUSPICIOUS).any():
-        _require_premises(fit, recording)
+        refusal = check_where_possible(fit, [recording]).refusal
+        if refusal:
+            raise RecordingError(f"{recording.title}: {refusal}")
     diagnosis = diagnose(fit, recording)
     return NightResult(
         "done",
@@ -175,28 +177,6 @@ def load_night(night: ArmNight, fit_content: bytes, path: Path) -> tuple[Fit, Re
     check_recordings(fit.model, [recording])
     require_plausible_units(recording, robot)
     return fit, recording
-
-
-def premises_of(fit: Fit, recording: Recording) -> PremiseCheck | None:
-    """Return the test of the premises; None of a recording that is too short, or of commands."""
-    if recording.command is not None:
-        return None  # torques of drive laws are assumptions themselves
-    try:
-        return check(fit, recording)
-    except LieidError:
-        return None
-
-
-def _require_premises(fit: Fit, recording: Recording) -> None:
-    """Refuse a recording that does not belong to the robot as it is described."""
-    found = premises_of(fit, recording)
-    certain = [x for x in found.findings if x.certain] if found is not None else []
-    if certain:
-        names = ", ".join(finding.premise for finding in certain)
-        raise RecordingError(
-            f"{recording.title}: robot and recording do not belong together ({names}): "
-            f"{certain[0].sentence}"
-        )
 
 
 @lru_cache(maxsize=FITS_KEPT)

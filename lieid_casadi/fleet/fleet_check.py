@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from lieid_casadi.errors import LieidError
-from lieid_casadi.fleet.arm_night import load_night, premises_of
+from lieid_casadi.fleet.arm_night import load_night
 from lieid_casadi.fleet.config import Dated, Fleet, FleetArm
 from lieid_casadi.fleet.night_result import ArmNight
 from lieid_casadi.fleet.recordings import is_local, local_copy
 from lieid_casadi.fleet.run import LoadedFit, fits_of, recordings_of
+from lieid_casadi.premises import check_where_possible
 from lieid_casadi.tables import Table, make_table
 
 LARGEST_CONSTANT = 1000.0  # N·m/A at the joint: gear ratio 500 and a motor of 2 N·m/A
@@ -105,11 +106,11 @@ def _check_arm(arm: FleetArm, fleet: Fleet) -> tuple[ArmCheck, list[str]]:
         content = {each.value.sha256: each.value.content for each in fits}[newest.fit_sha256]
         try:
             with local_copy(newest.recording) as path:
-                premises = premises_of(*load_night(newest, content, path))
-            if premises is not None:
-                check = replace(check, premises=tuple(premises.to_dict()["findings"]))
-                for finding in premises.findings:
-                    (wrong if finding.certain else doubtful).append(finding.sentence)
+                fit, recording = load_night(newest, content, path)
+            premises = check_where_possible(fit, [recording])
+            check = replace(check, premises=tuple(premises.to_dict()["findings"]))
+            for finding in premises.findings:
+                (wrong if finding.certain else doubtful).append(finding.sentence)
         except LieidError as error:
             wrong.append(str(error))
     locations = [night.recording for night, _ in found if night.recording]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
+from lieid_casadi.errors import LieidError
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.messages import joints_text
@@ -163,6 +165,24 @@ FROM_MODEL = Finding(
     "Effects of the drives are not in it.",
     "record the measured torque or current of the joints",
 )
+
+
+def check_where_possible(
+    robot: Robot | Model | Fit,
+    recordings: Sequence[Recording],
+    *,
+    test: Sequence[Recording] = (),
+    progress: Progress | None = None,
+) -> PremiseCheck:
+    """Return the check that precedes inference, without findings where it does not apply.
+
+    It does not apply to recordings that are too short, nor to torques of drive laws, which are
+    assumptions themselves.
+    """
+    if all(r.tau is not None and r.command is None for r in recordings):
+        with suppress(LieidError):  # the inference says what it lacks
+            return check(robot, recordings, test=test, progress=progress)
+    return PremiseCheck((), ())
 
 
 def _nothing_to_fit(s: Samples) -> str | None:

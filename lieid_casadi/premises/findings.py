@@ -87,6 +87,14 @@ class PremiseCheck:
         }[self.verdict]
 
     @property
+    def refusal(self) -> str:
+        """What is certainly wrong, as one sentence; empty if nothing is."""
+        certain = [finding for finding in self.findings if finding.certain]
+        names = ", ".join(finding.premise for finding in certain)
+        text = f"robot and recording do not belong together ({names})"
+        return f"{text}: {certain[0].sentence}" if certain else ""
+
+    @property
     def table(self) -> Table:
         """Errors without and with each correction."""
         rows = []
