@@ -98,7 +98,9 @@ def _check_arm(arm: FleetArm, fleet: Fleet) -> tuple[ArmCheck, list[str]]:
     found = list(recordings_of(arm, fleet, fits, empty))
     wrong += [reason for _, reason in found if reason][:3]
     nights = sorted((night for night, reason in found if not reason), key=lambda n: n.date)
-    doubtful = ["no recording; expected at least one"] if not nights and not wrong else []
+    doubtful = list[str]()
+    if not nights and not wrong:
+        wrong.append(f"{', '.join(arm.recordings)}: no recording to judge; expected at least one")
     check = replace(check, recordings=len(nights))
     if nights:
         newest = nights[-1]

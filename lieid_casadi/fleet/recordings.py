@@ -29,12 +29,12 @@ class RecordingFile:
 
 
 def list_recordings(pattern: str) -> list[RecordingFile]:
-    """Return the files of a path pattern or URL, sorted by name."""
+    """Return the files of a path pattern or URL, sorted by name; none if no file matches."""
     system, path = _file_system(pattern)
-    local = is_local(pattern)
+    local, several = is_local(pattern), any(c in path for c in "*?[")
 
     def listed() -> Mapping[str, Mapping[str, Any]]:
-        if any(c in path for c in "*?["):
+        if several:
             return dict(system.glob(path, detail=True))
         return {path: system.info(path)}
 
@@ -50,8 +50,10 @@ def list_recordings(pattern: str) -> list[RecordingFile]:
                 modified = None
             stamp = f"{info.get('size')}:{version or modified}"
             found.append(RecordingFile(location, stamp, modified))
-    if not found:
-        raise FleetError(f"{pattern}: no file matches")
+    if not found and not several:
+        raise FleetError(
+            f"{pattern}: a folder; expected a file, or a pattern such as {pattern}/*.csv"
+        )
     return found
 
 

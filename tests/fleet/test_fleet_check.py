@@ -85,7 +85,7 @@ def test_an_arm_without_usable_recordings(fleet_folder):
     shutil.rmtree(fleet_folder / "nights/A1")
     (fleet_folder / "fits/A2.json").write_text("{", "utf-8")
     first, second = check_fleet(read_fleet(fleet_folder / "fleet.yaml"))
-    assert "no file matches" in first.wrong[0]
+    assert "A1/*.csv: no recording to judge" in first.wrong[0]
     assert "A2.json" in second.wrong[0]
 
 

@@ -69,17 +69,18 @@ def test_an_arm_that_does_not_record_is_a_signal(call, capsys):
     (nights / "A2" / f"{LAST}.csv").write_bytes(b"")
     log = call.folder / "fleet.log"
     assert call("--log", str(log)) == 6
-    assert f"A1: failed on {LAST}" in capsys.readouterr().out
+    assert f"A1: missing on {LAST}" in capsys.readouterr().out
     lines = [line.split(" ", 2) for line in log.read_text("utf-8").splitlines()]
     assert all(datetime.fromisoformat(when).tzinfo for when, _, _ in lines)
-    assert ["WARNING", f"A1 {LAST}: failed"] in [line[1:] for line in lines]
+    assert ["WARNING", f"A1 {LAST}: missing"] in [line[1:] for line in lines]
     assert lines[-1][1] == "INFO"
     assert call("--most-failed", "1") == 0
     (nights / "A2" / f"{LAST}.csv").unlink()
+    (nights / "A2" / "2026-01-03.csv").touch()
     assert call("--night", "2026-01-05", "--most-failed", "1") == 6
     found = rows(call.folder, "SELECT serial, date, status FROM nights ORDER BY 1, 2")
     assert [(serial, str(day)[-2:], status) for serial, day, status in found] == [
-        ("A1", "04", "failed"), ("A1", "05", "failed"),
+        ("A1", "04", "missing"), ("A1", "05", "missing"),
         ("A2", "01", "done"), ("A2", "02", "missing"), ("A2", "03", "done"), ("A2", "04", "done"),
         ("A2", "05", "missing"),
     ]  # fmt: skip
@@ -87,9 +88,10 @@ def test_an_arm_that_does_not_record_is_a_signal(call, capsys):
     assert main(["fleet", "export", str(call.folder / "h.duckdb"), "--prometheus", str(out)]) == 0
     text = out.read_text("utf-8")
     assert 'lieid_fleet_last_success_timestamp{serial="A1"} 0.0' in text
+    assert 'lieid_fleet_nights_missing{serial="A1"} 2.0' in text
     assert 'lieid_fleet_nights_missing{serial="A2"} 2.0' in text
     assert 'lieid_fleet_newest_night_done{serial="A2"} 0.0' in text
-    assert 'lieid_fleet_last_run{status="failed"}' in text
+    assert 'lieid_fleet_last_run{status="done"} 1.0' in text
 
 
 def test_alarm_and_silence_together_are_status_7_until_the_arm_is_retired(call):
