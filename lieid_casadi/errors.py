@@ -241,6 +241,10 @@ class HeldJointWarning(LieidWarning):
     """A joint under position control that rests against more torque than its friction holds."""
 
 
+class DriveLimitWarning(LieidWarning):
+    """Drives seem to deliver less torque than their control laws state at large errors."""
+
+
 class NotSimulatedWarning(LieidWarning):
     """An effect of a fit changes the motion of its links, and a simulation leaves it out."""
 

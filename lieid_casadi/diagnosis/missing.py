@@ -36,6 +36,7 @@ from lieid_casadi.effects.placement import place
 from lieid_casadi.effects.registry import usable
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.errors import (
+    DriveLimitWarning,
     LieidError,
     NoSolution,
     SameRecordingWarning,
@@ -143,7 +144,7 @@ class MissingEffects:
             warnings=unique_warnings(
                 [
                     *first.model.unusable_effects,
-                    *first.warnings,
+                    *(w for w in first.warnings if not isinstance(w, DriveLimitWarning)),
                     *fit.warnings,
                     *_same_recording(first, self.tests),
                     *(before.warnings if before else ()),

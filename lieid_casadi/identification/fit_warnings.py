@@ -7,10 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.errors import (
     AliasWarning,
     BoundWarning,
     ConvergenceWarning,
+    DriveLimitWarning,
     FrictionAtRestWarning,
     LieidWarning,
     RelativeTorqueWarning,
@@ -21,6 +23,7 @@ from lieid_casadi.identification.regression.fixed_point import ROUNDS, FitState
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
     LeastSquaresSolution,
+    Rows,
     independent_fraction,
     name_direction,
 )
@@ -31,6 +34,9 @@ from lieid_casadi.robot import Robot
 
 WEAK = 0.05  # of a column's norm that the other columns do not span: below it, a warning
 SHARE_AT_REST = 0.01  # of the samples, above which rest is reported
+LIMITED = np.arange(0.5, 1.0, 0.05)  # quantiles of position errors, from which a limit may act
+OF_LIMIT = 0.5  # of a joint's error, which a limit of its drive must explain to be a warning
+ROWS_FOR_LIMIT = 5  # for each column of a joint
 
 
 def of_regression(
@@ -137,6 +143,50 @@ def at_rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
         FrictionAtRestWarning(
             "friction is undetermined at rest; samples at rest were excluded from the fit: "
             + joints
+        )
+    ]
+
+
+def limits_of_drives(design: Design, rows: Rows) -> list[LieidWarning]:
+    """Return a warning that names joints whose error is that of a drive with less torque.
+
+    Of a joint's regression alone, at least half of the error is explained by what its law states
+    beyond a position error that at least half of the rows do not exceed.
+    """
+    if any(s.recording.drives is None for s in design.segments):
+        return []
+    have = {p.joint for p in design.model.placements if isinstance(p.effect, TorqueSaturation)}
+    errors = [s.command_error for s in design.segments]
+    found: dict[int, float] = {}
+    for j, own in enumerate(rows.joints):
+        count = own.matrix.shape[1]
+        if j in have or len(own.torque) < ROWS_FOR_LIMIT * count:
+            continue
+        error = [e[:, j : j + 1] for e in errors if e is not None]
+
+        def filtered(values: Sequence[Array], joint: int = j) -> Array:
+            pairs = zip(design.segments, values, strict=True)
+            return design.on_joint(joint, [s.filter(x) for s, x in pairs])
+
+        ends = np.quantile(np.abs(filtered(error)), LIMITED)
+        beyond = filtered([np.sign(e) * np.maximum(np.abs(e) - ends, 0.0) for e in error])
+        both = np.column_stack([own.torque, beyond])
+        rest = both - own.matrix @ np.linalg.lstsq(own.matrix, both, rcond=None)[0]
+        along, sizes = rest[:, 1:].T @ rest[:, 0], np.sum(rest[:, 1:] ** 2, axis=0)
+        part = np.where(along > 0.0, along**2 / np.maximum(sizes, 1e-300), 0.0)
+        left = 1.0 - part / max(float(rest[:, 0] @ rest[:, 0]), 1e-300)
+        if np.sqrt(max(float(left.min()), 0.0)) < OF_LIMIT:
+            found[j] = float(ends[np.argmin(left)])
+    if not found:
+        return []
+    joints = "+".join(f"{j + 1}" for j in found)
+    where = ", ".join(f"joint {j + 1} ({end:.2g} rad)" for j, end in found.items())
+    return [
+        DriveLimitWarning(
+            "at large position errors the drives seem to deliver less torque than their laws "
+            f"state, which explains most of the error: {where}. The parameters and the motion of "
+            f"this fit are wrong if so; identify with the effect torque_saturation:{joints} "
+            "(--effects), or lieid diagnose, which compares it with others"
         )
     ]
 

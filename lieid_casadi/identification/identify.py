@@ -181,6 +181,7 @@ def identify_segments(
     found += fit_warnings.of_regression(model, segments, state, unweighted, settled=settled)
     rms = rms_raw = np.full(model.n, np.nan)
     if uncertainty:
+        found += fit_warnings.limits_of_drives(design, state.rows)
         rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
     estimate: Estimate = lambda factor: solve(factor).values  # noqa: E731
     certificate = None

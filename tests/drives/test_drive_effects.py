@@ -20,7 +20,7 @@ from lieid_casadi.diagnosis.step import MotionGain
 from lieid_casadi.effects.backlash import place_in_play
 from lieid_casadi.effects.command_delay import held_and_late
 from lieid_casadi.effects.registry import make
-from lieid_casadi.errors import BoundWarning, EffectError, NoSolution
+from lieid_casadi.errors import BoundWarning, DriveLimitWarning, EffectError, NoSolution
 from lieid_casadi.identification.identify import default_effects
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.variable_projection import command_error_range
@@ -215,6 +215,7 @@ def test_the_error_of_a_sound_arm_is_noise(monkeypatch):
     """That of coarse positions, which repeats with the motion; of other rows than at reversals."""
     recording = so101_recording(monkeypatch, "hold", 0)
     fit = lieid.identify(lieid.Model(so101.ROBOT, so101.EFFECTS), recording)
+    assert not [w for w in fit.warnings if isinstance(w, DriveLimitWarning)]
     compared = lieid.compare(fit, recording)
     assert compared.noise_source == "motion"
     assert (compared.rms_moving < 1.2 * compared.noise_floor).all()
@@ -241,8 +242,12 @@ def test_saturation_in_a_simulated_arm(stated):
     error = abs(recording.command - recording.q)[:, 1]
     assert (LAWS[1].stiffness * error).max() > 1.1 * limit
     plain = lieid.identify(lieid.Model(robot, BASE), recording, processing=CUTOFF)
+    (warning,) = [w for w in plain.warnings if isinstance(w, DriveLimitWarning)]
+    assert "joint 2 (" in str(warning)
+    assert "torque_saturation:2 " in str(warning)
     model = lieid.Model(robot, f"{BASE},torque_saturation:2")
     fit = lieid.identify(model, recording, processing=CUTOFF)
+    assert not [w for w in fit.warnings if isinstance(w, DriveLimitWarning)]
     values = {row["name"]: row["value"] for row in fit.parameter_table()}
     assert fit.rms_cv[1] < 0.7 * plain.rms_cv[1]
     assert values["torque_saturation.K"] == pytest.approx(LAWS[1].stiffness, rel=0.01)
