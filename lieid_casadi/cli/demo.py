@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from lieid_casadi.cli import output
 from lieid_casadi.cli.options import command
-from lieid_casadi.tables import Table, make_table
+from lieid_casadi.tables import Table, figures, make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.demo import Demo
@@ -75,7 +75,7 @@ def shown(demo: Demo, folder: Path) -> tuple[str | Table, ...]:
     errors = make_table(
         "RMS error on a run that was not fitted, joints in motion, N·m",
         ["joint", "+".join(demo.fit.model.effects), "diagnosed", "measured torque"],
-        zip(joints, *(x.tolist() for x in numbers), strict=True),
+        zip(joints, *(map(figures, x) for x in numbers), strict=True),
     )
     return (
         f"Excitation: condition number {demo.excitation.condition_number:.3g}, "

@@ -349,9 +349,11 @@ def _noise(c: Comparison, remedy: str) -> str:
     beyond, most = ratio > BEYOND_NOISE, int(np.argmax(ratio))
     if not beyond.any():
         noise = ": no systematic error is detectable" if ratio[most] <= AS_NOISE else ""
-        return f"The error in motion is at most {ratio[most]:.2g} times {floor}{noise}."
+        return (
+            f"The error in motion is at most {figures(ratio[most], digits=2)} times {floor}{noise}."
+        )
     where = "every joint" if beyond.all() and c.n > 1 else joints_text(beyond)
-    size = f"{ratio[most]:.2g} times"
+    size = f"{figures(ratio[most], digits=2)} times"
     of_floor = f"{size} {floor}"
     if beyond.sum() > 1:
         of_floor = f"more than {BEYOND_NOISE:g} times {floor}, most on joint {most + 1} ({size})"

@@ -97,6 +97,7 @@ class Workbench:
         self._unsaved: asyncio.TimerHandle | None = None
         self._listeners: list[Callable[[], None]] = []
         self._tasks: set[asyncio.Task[Any]] = set()
+        self._adopting: asyncio.Task[Any] | None = None  # the evaluation of the search's fit
 
     # -- what is shown
 
@@ -153,11 +154,12 @@ class Workbench:
         for listener in list(self._listeners):
             listener()
 
-    def background(self, work: Coroutine[Any, Any, object]) -> None:
+    def background(self, work: Coroutine[Any, Any, object]) -> asyncio.Task[Any]:
         """Run a coroutine beside what the user does."""
         task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
+        return task
 
     def show(self, session: Session) -> None:
         """Show a session whose model is the same: another joint or recording."""
@@ -223,6 +225,8 @@ class Workbench:
 
     async def add_found(self, labels: Sequence[str]) -> None:
         """Add effects that the search found, with one fit; show the errors on the way to it."""
+        if self._adopting is not None:
+            await asyncio.wait([self._adopting])
         session, found = self.session, self.session.found
         if found is None or session.step is None:
             return
@@ -271,7 +275,7 @@ class Workbench:
             if found.proposed:  # its fit is kept until its effects are added
                 final = replace(step, effects=found.model)
                 adopted = self._follow(self._front, "adopt", final, content=content)
-                self.background(adopted)
+                self._adopting = self.background(adopted)
             self.changed()
 
     def stop(self) -> None:
