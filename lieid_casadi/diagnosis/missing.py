@@ -36,13 +36,13 @@ from lieid_casadi.effects.placement import place
 from lieid_casadi.effects.registry import usable
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.errors import (
-    DriveLimitWarning,
     LieidError,
     NoSolution,
     SameRecordingWarning,
     unique_warnings,
 )
 from lieid_casadi.identification import Fit
+from lieid_casadi.identification.fit_warnings import OF_NUMBERS
 from lieid_casadi.identification.identify import Method, identify_segments
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import Source
@@ -144,7 +144,7 @@ class MissingEffects:
             warnings=unique_warnings(
                 [
                     *first.model.unusable_effects,
-                    *(w for w in first.warnings if not isinstance(w, DriveLimitWarning)),
+                    *(w for w in first.warnings if not isinstance(w, OF_NUMBERS)),
                     *fit.warnings,
                     *_same_recording(first, self.tests),
                     *(before.warnings if before else ()),

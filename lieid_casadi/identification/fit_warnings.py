@@ -15,7 +15,9 @@ from lieid_casadi.errors import (
     DriveLimitWarning,
     FrictionAtRestWarning,
     LieidWarning,
+    NotDissipativeWarning,
     RelativeTorqueWarning,
+    StatedMassWarning,
     UnidentifiableWarning,
 )
 from lieid_casadi.identification.regression.design_matrix import Design, has_dry_friction
@@ -32,6 +34,17 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording
 from lieid_casadi.robot import Robot
 
+#: About the numbers of one fit: those of a later one take their place.
+OF_NUMBERS = (
+    AliasWarning,
+    BoundWarning,
+    ConvergenceWarning,
+    DriveLimitWarning,
+    FrictionAtRestWarning,
+    NotDissipativeWarning,
+    StatedMassWarning,
+    UnidentifiableWarning,
+)
 WEAK = 0.05  # of a column's norm that the other columns do not span: below it, a warning
 SHARE_AT_REST = 0.01  # of the samples, above which rest is reported
 LIMITED = np.arange(0.5, 1.0, 0.05)  # quantiles of position errors, from which a limit may act

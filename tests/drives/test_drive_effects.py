@@ -230,6 +230,8 @@ def test_limits_of_drives_are_found_first(monkeypatch):
     assert {s.label for s in found.steps} == {f"torque_saturation:{j}" for j in range(1, 7)}
     assert not [event for event in found.events if event.kind != "standstill"]
     assert found.verdict == "effect_found"
+    numbers = (DriveLimitWarning, BoundWarning)  # the first fit's are no longer true
+    assert not [w for w in found.warnings if isinstance(w, numbers) and w not in found.fit.warnings]
 
 
 @pytest.mark.parametrize(
