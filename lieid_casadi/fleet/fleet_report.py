@@ -95,14 +95,8 @@ def fleet_report(history: History) -> str:
         table_section("Recordings that cannot be used", recording_table(history), links=links),
         table_section("Acknowledged alarms", closed_table(alarms), links=links, folded=True),
     ]
-    advised = {arm.serial: list[str]() for arm in arms}
-    for alarm in active:
-        advised.get(alarm.serial, []).append(advice(history, alarm))
     pages = [
-        _arm_section(
-            arm, [a for a in alarms if a.serial == arm.serial], " ".join(advised[arm.serial])
-        )
-        for arm in arms
+        _arm_section(history, arm, [a for a in alarms if a.serial == arm.serial]) for arm in arms
     ]
     return render("Fleet", [*sections, *pages])
 
@@ -173,7 +167,8 @@ def closed_table(alarms: Sequence[Alarm]) -> Table:
     return make_table("Acknowledged", headings, rows)
 
 
-def _arm_section(arm: ArmHistory, alarms: Sequence[Alarm], note: str) -> Section:
+def _arm_section(history: History, arm: ArmHistory, alarms: Sequence[Alarm]) -> Section:
+    note = " ".join(advice(history, alarm) for alarm in alarms if alarm.closed is None)
     picture = {
         "uri": data_uri(plot_trends(arm, alarms), dpi=80.0, colors=64),
         "alt": f"trends of {arm.serial}",

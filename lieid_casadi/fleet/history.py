@@ -17,7 +17,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.atomic_file import atomic_binary, check_file, reported
@@ -91,6 +90,8 @@ COMMENTS = {
     "judged": "nights that have been judged, and when",
     "calls": "calls of lieid fleet",
     "calls.counts": "JSON: status and number of arm-nights",
+    "latest": "the newest run of every arm in service with its present fit",
+    "sisters": "median and robust spread of coefficients over the arms with the same robot",
 }
 #: The newest run of every arm in service with its present fit, outside of maintenance; and the
 #: coefficients of arms with the same robot on these nights.
@@ -167,8 +168,12 @@ class History(AbstractContextManager["History"]):
                 with reported(path):
                     self._file.parent.mkdir(parents=True, exist_ok=True)
                 stack.enter_context(_locked(self._file, wait))
+                files = (self._file, self._copy), (_log_of(self._file), _log_of(self._copy))
                 if self._is_new or _changed(self._copy) < _changed(self._file):
-                    self._begin(self._copy)
+                    for source, copy in files:  # the log is that of a process that was killed
+                        copy.unlink(missing_ok=True)
+                        if source.exists():
+                            copy_file(source, copy)
             try:
                 self.connection = _connect(self._copy or self._file, self.path, read_only)
                 stack.callback(self.connection.close)
@@ -184,19 +189,7 @@ class History(AbstractContextManager["History"]):
                 self.publish()  # for readers from the first minute of the first run on
             self._open = stack.pop_all()
 
-    def _begin(self, copy: Path) -> None:
-        """Copy the file, with the log that a killed process may have left beside it."""
-        for source, target in ((self._file, copy), (_log_of(self._file), _log_of(copy))):
-            target.unlink(missing_ok=True)
-            if source.exists():
-                copy_file(source, target)
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Close the history; a new one without runs is removed after an error."""
         unused = kind is not None and self._is_new and not self.rows("SELECT 1 FROM runs LIMIT 1")
         with self._open:
@@ -204,9 +197,8 @@ class History(AbstractContextManager["History"]):
                 self.publish()
                 self.connection.close()
                 self._copy.unlink()
-            if unused:
-                self._file.unlink()
-                reading_name(self._file).unlink()
+            for file in (self._file, reading_name(self._file)) if unused else ():
+                file.unlink()
 
     def publish(self) -> None:
         """Replace the file by everything that is committed."""
@@ -320,7 +312,7 @@ def _log_of(file: Path) -> Path:
 
 
 def _changed(file: Path) -> int:
-    """Return when a file or its log was changed last; 0 if it does not exist."""
+    """Return when a file or its log was changed last; 0 without the file, whatever log is left."""
     files = (file, _log_of(file)) if file.exists() else ()
     return max((each.stat().st_mtime_ns for each in files if each.exists()), default=0)
 
@@ -425,7 +417,8 @@ def _prepare(connection: DuckDBPyConnection, path: str) -> None:
     for name, query in VIEWS.items():
         connection.execute(f"CREATE OR REPLACE VIEW {name} AS {query}")
     for name, text in COMMENTS.items():
-        kind, quoted = "COLUMN" if "." in name else "TABLE", text.replace("'", "''")
+        kind = "COLUMN" if "." in name else "VIEW" if name in VIEWS else "TABLE"
+        quoted = text.replace("'", "''")
         connection.execute(f"COMMENT ON {kind} {name} IS '{quoted}'")
     connection.execute("COMMIT")
 

@@ -222,10 +222,12 @@ def test_what_a_killed_run_has_left_does_not_replace_a_restored_history(tmp_path
     path = write_history(tmp_path / "h.duckdb", 2, ["A0"])
     shutil.copy(path, tmp_path / "backup")
     write_history(path, 3, ["A0"])
-    for restored, count in ((False, 3), (True, 2)):
+    for restored, count in ((False, 3), (True, 2), (False, 2)):
         (tmp_path / "h.run.duckdb").write_bytes(path.read_bytes())
         if restored:
             shutil.copy(tmp_path / "backup", path)
+        elif count == 2:  # a log without its file
+            (tmp_path / "h.run.duckdb").rename(tmp_path / "h.run.duckdb.wal")
         with History(path) as history:
             assert history.rows("SELECT count(*) FROM runs") == [(count,)]
 
