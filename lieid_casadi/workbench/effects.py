@@ -298,7 +298,7 @@ def _finding(proposed: ProposedEffect, kind: str, *, present: bool) -> Markup:
         part("grow muted", proposed.sentence or proposed.value),
     ]  # fmt: skip
     if before and after is not None:
-        change = f"{100.0 * (after / before - 1.0):+.0f} %"
+        change = f"{100.0 * (after / before - 1.0):+z.0f} %"
         errors = f"{kind} {figures(before)} → {figures(after)} N·m ({change})"
         tip = "unseen error of the joint: with all that was found but this, and with all"
         shown.append(part("number", errors, tip=tip))

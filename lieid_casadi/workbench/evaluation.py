@@ -153,7 +153,7 @@ def difference_tables(
             j,
             figures(a),
             figures(b),
-            f"{100.0 * (b / a - 1.0):+.0f} %" if a and b is not None else None,
+            f"{100.0 * (b / a - 1.0):+z.0f} %" if a and b is not None else None,
         ]
         for j, (a, b) in enumerate(errors, start=1)
     ]

@@ -109,7 +109,7 @@ def _difference(other: float | None, error: float | None) -> str:
     """Return the error of the compared model, and how much that of the shown one differs."""
     if other is None or error is None or not other:
         return figures(other)
-    return f"{figures(other)} ({100.0 * (error / other - 1.0):+.0f} %)"
+    return f"{figures(other)} ({100.0 * (error / other - 1.0):+z.0f} %)"
 
 
 class HistoryView(View):

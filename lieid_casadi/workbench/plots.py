@@ -199,6 +199,7 @@ class TorquePlot(View):
         start, end = workbench.view.selection
         workbench.look(replace(workbench.view, selection=None))
         self._chart.run("dispatchAction", {"type": "brush", "areas": []})
+        self._reset()
         await workbench.apply(workbench.session.excluding(round(start, 3), round(end, 3)))
 
     def _reset(self) -> None:

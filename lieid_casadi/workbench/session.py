@@ -286,7 +286,10 @@ class Session:
         """Return the session with those effects added that the model does not have."""
         assert self.step is not None
         new = [label for label in labels if label not in self.step.effects]
-        title = f"+ {new[0]}" if len(new) == 1 else f"+ {len(new)} effects: {', '.join(new)}"
+        kinds, places = ({label.partition(":")[k] for label in new} for k in (0, 2))
+        title = f"+ {len(new)} effects: {', '.join(new)}"
+        if len(kinds) == 1:  # as in `--effects`
+            title = f"+ {':'.join([*kinds, '+'.join(sorted(places))]).rstrip(':')}"
         return self.with_effects(title, (*self.step.effects, *new))
 
     def without_effect(self, label: str) -> Session:

@@ -231,14 +231,19 @@ class Workbench:
         if found is None or session.step is None:
             return
         chosen = [p for p in found.proposed if p.label in labels]
+        before, path = session.step.errors, found.path
         if chosen != list(found.proposed) or session.step.effects != found.effects:
-            await self.apply(session.with_added(*labels))
-            return
-        count = len(chosen)  # all of them: the diagnosis' own fit
-        title = f"+ {chosen[0].label}" if count == 1 else f"+ all {count} effects found"
-        self.playing = found.path[0] if found.path else None
-        await self.apply(session.with_effects(title, found.model))
-        between = found.path[1:-1]
+            added, path = session.with_added(*labels), ()
+        else:  # all of them: the diagnosis' own fit
+            count = len(chosen)
+            title = f"+ {chosen[0].label}" if count == 1 else f"+ all {count} effects found"
+            added = session.with_effects(title, found.model)
+        self.playing = path[0] if path else before.shown if before and len(chosen) > 1 else None
+        await self.apply(added)
+        after = None if self.session.step is None else self.session.step.errors
+        if self.playing and after and not path:
+            path = joint_by_joint(self.playing, after.shown, [p.joint for p in chosen])
+        between = path[1:-1]
         for errors in between:
             self.playing = errors
             self.changed()
@@ -437,3 +442,18 @@ class Workbench:
             save_session(self.name, self.session)
         except LieidError as error:
             self.error = str(error)
+
+
+def joint_by_joint(before: Numbers, after: Numbers, joints: Sequence[int]) -> tuple[Numbers, ...]:
+    """Return errors on the way from those before to those after, which fall one after the other.
+
+    Examples
+    --------
+    >>> joint_by_joint((3.0, 2.0, 1.0), (3.1, 1.0, 0.5), [2, 1])
+    ((3.0, 2.0, 1.0), (3.0, 2.0, 0.5), (3.0, 1.0, 0.5), (3.1, 1.0, 0.5))
+    """
+    path = [before]
+    for joint in joints:
+        last = path[-1]
+        path.append((*last[:joint], after[joint], *last[joint + 1 :]))
+    return (*path, after)
