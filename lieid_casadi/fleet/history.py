@@ -198,7 +198,7 @@ class History(AbstractContextManager["History"]):
                 self.connection.close()
                 self._copy.unlink()
             for file in (self._file, reading_name(self._file)) if unused else ():
-                file.unlink()
+                file.unlink(missing_ok=True)
 
     def publish(self) -> None:
         """Replace the file by everything that is committed."""
@@ -209,7 +209,8 @@ class History(AbstractContextManager["History"]):
         link = reading_name(self._file)
         if not link.is_symlink():
             link.unlink(missing_ok=True)
-            link.symlink_to(self._file.name)
+            with suppress(OSError):  # of file systems without links
+                link.symlink_to(self._file.name)
 
     def rows(self, query: str, values: Sequence[object] = ()) -> list[tuple[Any, ...]]:
         """Return the rows of an SQL query."""
@@ -218,12 +219,9 @@ class History(AbstractContextManager["History"]):
     def insert(self, table: str, rows: Sequence[Sequence[object]]) -> None:
         """Add rows to a table, in the order of its columns."""
         if rows:
-            names = ", ".join(column.split()[0] for column in TABLES[table].split(", "))
-            one = "(" + ", ".join("?" * len(rows[0])) + ")"
-            every = ", ".join([one] * len(rows))
-            self.connection.execute(
-                f"INSERT INTO {table} ({names}) VALUES {every}", [x for row in rows for x in row]
-            )
+            every = ", ".join(["(" + ", ".join("?" * len(rows[0])) + ")"] * len(rows))
+            values = [x for row in rows for x in row]
+            self.connection.execute(f"INSERT INTO {table} VALUES {every}", values)
 
     @contextmanager
     def transaction(self) -> Iterator[None]:

@@ -29,7 +29,7 @@ from lieid_casadi.robot import Robot
 
 LOG = logging.getLogger(__name__)
 ARMS_AT_ONCE = 200  # whose finished runs are read by one query
-PUBLISHING_PART = 0.05  # of a call's time, in which readers get what it has recorded so far
+PUBLISHING_PART = 0.01  # of a call's time, in which readers get what it has recorded so far
 
 
 @dataclass(frozen=True)
