@@ -239,7 +239,7 @@ def _answer(state: Any, request: _Request, pipe: Connection) -> Any:
 def _low_priority() -> None:
     """Lower the priority of this thread, and of those that it starts, where threads have one."""
     if sys.platform == "linux":
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)
+        os.nice(NICE)  # there, of the calling thread
 
 
 def _failure(error: BaseException) -> str:
