@@ -37,10 +37,9 @@ def run(args: argparse.Namespace) -> output.Outcome:
     @JSON
     """
     from lieid_casadi.discrimination import discriminate
-    from lieid_casadi.identification import Fit
 
     sizes = dict(_size(text) for text in args.size)
-    fit = Fit.load(args.fit)
+    fit = inputs.fit_of(args, args.fit)
     with output.progress("discriminate") as report:
         result = discriminate(
             fit, args.effects, sizes=sizes,

@@ -51,7 +51,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     """
     from lieid_casadi.experiments import experiment
     from lieid_casadi.experiments.record import RecordCommand
-    from lieid_casadi.identification import Fit
     from lieid_casadi.report import experiment_report
 
     if not (args.yes or args.page or sys.stdin.isatty()):
@@ -60,7 +59,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
             "terminal, --page PORT, or --yes to run every motion without a question"
         )
     robot = inputs.robot_of(args)
-    source = Fit.load(args.robot) if inputs.is_fit(args) else robot
+    source = inputs.fit_of(args, args.robot) if inputs.is_fit(args) else robot
 
     def load(path: Path) -> Recording:
         return inputs.recordings_of([str(path)], args, source)[0]

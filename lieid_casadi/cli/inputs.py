@@ -6,6 +6,7 @@ import argparse
 import math
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -75,7 +76,26 @@ def robot_of(args: argparse.Namespace) -> Robot:
         robot = Robot.load(args.robot, tip=args.tip, lock=args.lock)
     robot = correction_of(args, robot.n).of_robot(robot)
     drives = drives_of(args, robot)
-    return robot if drives is None else robot.with_drives(drives)
+    return _limited(args, robot if drives is None else robot.with_drives(drives))
+
+
+def _limited(args: argparse.Namespace, robot: Robot) -> Robot:
+    """Return the robot with the velocity limits of --velocity, of commands that have it."""
+    velocity = getattr(args, "velocity", None)
+    return robot.with_velocity_limits(velocity) if velocity else robot
+
+
+def fit_of(args: argparse.Namespace, path: str) -> Fit:
+    """Return a fit, whose robot has the velocity limits of --velocity."""
+    from lieid_casadi.identification import Fit
+    from lieid_casadi.model import Model
+
+    fit = Fit.load(path)
+    own = fit.model
+    if (robot := _limited(args, own.robot)) is own.robot:
+        return fit
+    limited = Model.of_placements(robot, own.placements, library=own.library)
+    return replace(fit, model=limited)
 
 
 def correction_of(
@@ -330,9 +350,7 @@ def arm_of(args: argparse.Namespace) -> tuple[Model | Fit, Robot]:
     if not is_fit(args):
         model = model_of(args)
         return model, model.robot
-    from lieid_casadi.identification import Fit
-
     if names := given("@EFFECTS @TIP_AND_LOCK", args):
         raise UsageError(f"{next(iter(names))}: a fit ({args.robot}) has its own robot and effects")
-    fit = Fit.load(args.robot)
+    fit = fit_of(args, args.robot)
     return fit, fit.model.robot

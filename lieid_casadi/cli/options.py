@@ -230,6 +230,8 @@ SHARED = {
     # the defaults are those of `default_limits`
     "LIMITS": """
     == limits in addition to those of position and velocity
+    --velocity V …: number  velocity limits, rad/s, one or one per joint; default: the robot's
+        (MuJoCo models state none)
     --acceleration A …: number  acceleration limits, rad/s², one or one per joint; default: the
         robot's, or 3
     --margin F: number = 0.8  fraction of the velocity and torque limits that is used

@@ -182,7 +182,7 @@ def motion_range(
     if missing:
         raise ExcitationError(
             f"robot {robot.name!r} states no velocity limit for {', '.join(missing)}; "
-            "add it to the robot's description"
+            "add it to the robot's description, or state it (--velocity V…)"
         )
     revolute = np.array([joint.revolute for joint in robot.joints])
     return MotionRange(position, velocity, _acceleration(robot, acceleration), revolute)

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot.description import BUNDLED, RobotDescription, bundled_text, read_text
@@ -166,6 +166,22 @@ class Robot(RobotDescription):
             )
         joints = zip(self.joints, laws, strict=True)
         return replace(self, joints=tuple(replace(j, drive=law) for j, law in joints))
+
+    def with_velocity_limits(self, velocity: ArrayLike) -> Robot:
+        """Return the robot with velocity limits, rad/s or m/s: one for all joints, or (n,).
+
+        A `RobotError` states other numbers.
+        """
+        values = np.atleast_1d(np.asarray(velocity, dtype=float))
+        if values.shape not in ((1,), (self.n,)) or not np.all(values > 0.0):
+            numbers = ", ".join(f"{value:g}" for value in values.flat)
+            raise RobotError(
+                f"robot {self.name!r}: velocity limits {numbers}; expected 1 or {self.n} positive "
+                "numbers"
+            )
+        joints = zip(self.joints, np.broadcast_to(values, self.n).tolist(), strict=True)
+        own = (replace(j, limits=replace(j.limits, velocity=value)) for j, value in joints)
+        return replace(self, joints=tuple(own))
 
 
 def read_description(

@@ -1,16 +1,20 @@
 """``lieid excite``, requests that are refused, and runs at constant speeds."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from exporters.c_arms import made_fit
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli import inputs
 from lieid_casadi.cli.main import build_parser, main
-from lieid_casadi.errors import ExcitationError, NoSolution
+from lieid_casadi.errors import ExcitationError, NoSolution, RobotError
 from lieid_casadi.excitation import CartesianSpeed, Torque, Wall, excite, floor, friction_sweep
+from lieid_casadi.excitation.limits import motion_range
+from lieid_casadi.robot.yaml_file import write_yaml
 
 KEYS = {
     "condition_number", "start", "end", "neg_log_det", "solve_seconds", "build_seconds",
@@ -128,6 +132,26 @@ def test_limits_of_the_options(options, expected):
     limits = inputs.limits_of(arguments, lieid.robots.panda())
     assert [type(limit).__name__ for limit in limits] == expected
     assert limits[0].fraction == 0.8
+
+
+@pytest.mark.parametrize("of_fit", [False, True])
+def test_velocity_limits_of_a_robot_that_states_none(tmp_path, of_fit):
+    """MuJoCo models have no attribute for them."""
+    two_link = lieid.robots.two_link()
+    joints = tuple(
+        replace(joint, limits=replace(joint.limits, velocity=np.nan)) for joint in two_link.joints
+    )
+    robot = replace(two_link, joints=joints)
+    path = tmp_path / ("fit.json" if of_fit else "robot.yaml")
+    made_fit(robot, "viscous").save(path) if of_fit else path.write_text(write_yaml(robot))
+    words = ["excite", str(path), "-o", str(tmp_path)]
+    arm, _ = inputs.arm_of(build_parser().parse_args([*words, "--velocity", "1.5", "0.5"]))
+    limits = (arm.model if of_fit else arm).robot.limit("velocity")
+    np.testing.assert_array_equal(limits, [1.5, 0.5])
+    with pytest.raises(ExcitationError, match=r"state it \(--velocity V…\)"):
+        motion_range(robot)
+    with pytest.raises(RobotError, match="expected 1 or 2 positive numbers"):
+        robot.with_velocity_limits([1.0, -1.0])
 
 
 def test_interrupt_keeps_the_trajectory(tmp_path, monkeypatch):
