@@ -53,6 +53,9 @@ from lieid_casadi.recording import Recording, process
 Report = Callable[[str, float], None]
 CONTAINED = 0.1  # part of an effect's torque that a smooth function can take over
 OF_LIMIT = 0.5  # of a joint's error, below which a limit that is searched for first must lower it
+#: Torque of an effect in that of its joint: a spring may carry several times what the drive does;
+#: more cancels that of other effects, and does so only at the speeds of the training data.
+LARGEST_TORQUE = 10.0
 ROUNDS = 2  # of search and fit; the second one adds what the first fit hid
 
 
@@ -283,6 +286,13 @@ class MissingEffects:
                 self.rejected[found.placement.label] = "the data do not determine its coefficients"
                 return [a for a in accepted if a is not found]
         model, left = FinalModel.of(fit, self.segments, None), list(accepted)
+        torques = [model.part_of_torque(a.placement, a.joint) for a in left]
+        if left and max(torques) > LARGEST_TORQUE:
+            found = left.pop(int(np.argmax(torques)))
+            self.rejected[found.placement.label] = (
+                f"its torque is {max(torques):.0f} times that of its joint: others cancel it"
+            )
+            return left
         while left:
             gone = [a.placement for a in accepted if a not in left]
             falls = [_fall(model, found, left, gone) for found in left]

@@ -114,10 +114,11 @@ def _near(found: Round, mine: Candidate, fine: NDArray[np.bool_]) -> NDArray[np.
 def _same_kind(mine: Candidate, other: Candidate) -> bool:
     """Whether two candidates are variants of one effect, or the other is a smooth function.
 
-    A smooth function contains most effects of its signals; that it does as well is no doubt.
+    A smooth function contains most effects of its signals; that it does as well is no doubt. Smooth
+    functions of different signals are rivals.
     """
     if mine.name == other.name and mine.joints == other.joints:
-        return True
+        return mine.name != SMOOTH or mine.label == other.label
     return other.name == SMOOTH and mine.name != SMOOTH
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -121,7 +122,8 @@ def _judged(
 
     Smooth functions come first on the joints where the error of the held-out parts is lower so, or
     where only so anything lowers it: many effects of the library together resemble a torque that
-    none of them describes.
+    none of them describes. Where the library needs such a function as well, or more effects, any
+    lower error is enough.
     """
     rules = _rules(paths.columns, rows, options, dependence)
     every = range(len(rows.runs))
@@ -153,7 +155,11 @@ def _judged(
     others = outside(first)
     before, after = (held_out_squares(paths, folds, each) for each in (parts, others))
     so = judged(other, others)
-    better = (_supported(so, options) - _supported(slots, options)) & first
+    many, fewer = _supported(slots, options), _supported(so, options)
+    needed = {paths.columns.candidate(g).joint for g in whole if rules.smooth[g]}
+    lower = after.sum(axis=0) < before.sum(axis=0)
+    better = {j for j in first if fewer[j] and not many[j]}
+    better |= {j for j in first if lower[j] and (j in needed or 0 < fewer[j] < many[j])}
     better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
     if better == first:
         return folds, so
@@ -162,9 +168,9 @@ def _judged(
     return folds, slots
 
 
-def _supported(slots: Sequence[Slot], options: DiagnosisOptions) -> set[int]:
-    """Return the joints with an effect that the held-out parts support."""
-    return {slot.joint for slot in slots if slot.reason(options) is None}
+def _supported(slots: Sequence[Slot], options: DiagnosisOptions) -> Counter[int]:
+    """Return the number of effects on each joint that the held-out parts support."""
+    return Counter(slot.joint for slot in slots if slot.reason(options) is None)
 
 
 def _lowers(

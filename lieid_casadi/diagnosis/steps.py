@@ -393,6 +393,12 @@ class FinalModel:
                 found.append(k)
         return np.array(found, dtype=np.intp)
 
+    def part_of_torque(self, effect: Placement, joint: int) -> float:
+        """Return the RMS torque of an effect on a joint in motion, relative to the measured one."""
+        own, gram = self.columns_of([effect]), self.train[joint]
+        values = self.fit.values[own]
+        return float(np.sqrt(values @ gram[np.ix_(own, own)] @ values / max(gram[-1, -1], 1e-300)))
+
     def contained(self, effect: Placement, smooth: Placement, added: Sequence[Placement]) -> float:
         """Return the part of an effect's torque that a smooth function can take over.
 

@@ -33,10 +33,10 @@ SIGNALS: dict[str, tuple[str, str, float]] = {
 }
 FADE = 0.1  # of a range: beyond its ends the function falls to zero over this distance
 SLOW = 0.1  # of the largest speed: knots of a speed are closer below it
-KNOTS, ANGLE_KNOTS = 8, 10  # splines of one signal; torque varies most along a turn
-ODD_KNOTS, EVEN_KNOTS = 6, 4  # splines of the speed that change sign with the velocity, and others
+KNOTS, ANGLE_KNOTS = 10, 10  # splines of one signal; torque varies most along a turn
+ODD_KNOTS, EVEN_KNOTS = 10, 6  # splines of the speed that change sign with the velocity, and others
 PAIR_KNOTS, FRICTION_KNOTS = 5, 8  # splines of each of two signals; of an angle beside a velocity
-GRID, PAIR_GRID = 400, 40  # points over each of one or two ranges where functions are orthogonal
+GRID, PAIR_GRID = 1000, 40  # points over each of one or two ranges where functions are orthogonal
 PAIR_REACH = 1.15  # radius in half ranges that two signals together reach: not their corners
 LEAST_ALONE, LEAST_TOGETHER = 1e-6, 5e-4  # part of the variance that a further function adds
 LARGEST = 1e4  # end of a range, in units of the signal

@@ -181,6 +181,22 @@ def test_a_torque_of_the_own_signals_is_one_smooth_function(torque, labels, rema
     assert after < remains * before
 
 
+@pytest.mark.parametrize("speed", [0.6, 1.0])
+def test_friction_with_a_peak_at_one_speed_is_a_smooth_function_of_the_velocity(speed):
+    size = float(plant.torque_scale(ROBOT)[0])
+
+    def peak(s):
+        v = s.dq[..., 0]
+        return size * np.sign(v) * np.exp(-(((np.abs(v) / speed - 1.0) / 0.25) ** 2))
+
+    arm = arm_with().with_effects(plant.ForeignTorque(0, peak))
+    train = [run(arm, seed, scale=0.8) for seed in (1, 3)]
+    (step,) = lieid.diagnose(MODEL, train, run(arm, 2)).steps
+    assert step.label == "smooth/dq:1"
+    before = lieid.compare(lieid.identify(MODEL, train), run(arm, 2)).rms[0]
+    assert step.errors["rms_test"][0] < 0.35 * before
+
+
 @pytest.mark.parametrize("speed", [0.1, 0.2, 0.4])
 def test_another_form_of_friction_over_speed_is_in_the_place_of_what_imitates_it(speed):
     """Friction that falls as e^{−|q̇|/v}, neither Gaussian nor a polynomial of the velocity."""

@@ -74,6 +74,13 @@ def test_foreign_effects_are_unexplained():
     assert_enough(FOREIGN, 0.90)
 
 
+@pytest.mark.slow
+def test_no_effects_are_added_that_cancel_each_other():
+    """Two of them fit a peak of friction by 30 times the joint's torque, at trained speeds only."""
+    case = Case.parse("missing-foreign-friction_peak-5x-100")
+    assert run_case(case, true_model=True)["plain_ratio"] < 0.5
+
+
 def test_changes_are_named():
     assert_enough(CHANGED, 0.95)
 
