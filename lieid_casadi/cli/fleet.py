@@ -236,7 +236,8 @@ def export(args: argparse.Namespace) -> output.Outcome:
 def acknowledge(args: argparse.Namespace) -> output.Outcome:
     """Close the open alarms of an arm and start a new baseline.
 
-    Nights after the repair are judged against each other, not against those before it.
+    Nights after the repair are judged against each other, not against those before it. A run that
+    is in progress records it before it judges.
 
     @CHANGED_HISTORY
     --joint J: int  only alarms and baselines of this joint, from 1
@@ -244,19 +245,30 @@ def acknowledge(args: argparse.Namespace) -> output.Outcome:
     --date DATE: night  last night before the repair; default: the arm's last night in the
         history
     """
-    from lieid_casadi.fleet.alarms import acknowledge, identify_again, open_alarms
-    from lieid_casadi.fleet.history import History
+    from lieid_casadi.fleet.alarms import (
+        acknowledge,
+        acknowledge_later,
+        identify_again,
+        open_alarms,
+    )
+    from lieid_casadi.fleet.history import History, HistoryInUse
 
-    with History(args.history, new=False, wait=args.wait) as history:
-        alarms = open_alarms(history, args.serial, args.joint)
-        last = acknowledge(history, args.serial, joint=args.joint, note=args.note, last=args.date)
-        lasting = [alarm for alarm in alarms if alarm.last == last]
-        advice = (
-            "The arm differed from its fit until the last night. If the change lasts, "
-            f"{identify_again(history, lasting[0])}"
-            if lasting
-            else ""
-        )
+    options = {"joint": args.joint, "note": args.note, "last": args.date}
+    try:
+        with History(args.history, new=False, wait=args.wait) as history:
+            alarms = open_alarms(history, args.serial, args.joint)
+            last = acknowledge(history, args.serial, **options)
+            lasting = [alarm for alarm in alarms if alarm.last == last]
+            advice = (
+                "The arm differed from its fit until the last night. If the change lasts, "
+                f"{identify_again(history, lasting[0])}"
+                if lasting
+                else ""
+            )
+    except HistoryInUse as error:
+        acknowledge_later(args.history, args.serial, **options)
+        holder = str(error).partition(";")[0]
+        return output.Outcome([f"{holder}. The run acknowledges this before it judges its nights."])
     where = f" of joint {args.joint}" if args.joint else ""
     plural = "" if len(alarms) == 1 else "s"
     text = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections import defaultdict
 from collections.abc import Sequence
@@ -12,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from lieid_casadi.atomic_file import reported
 from lieid_casadi.effects.placement import labels as specs
 from lieid_casadi.errors import FleetError, LieidError
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
-from lieid_casadi.fleet.history import History
+from lieid_casadi.fleet.history import History, left_beside
 from lieid_casadi.fleet.judging import (
     ChangedQuantity,
     JudgedArm,
@@ -324,6 +326,7 @@ def judge_new_nights(history: History) -> list[Alarm]:
     arrive late for an earlier night are taken into account from the next night that is judged. A
     new fit starts a new baseline, and closes the alarms that were raised before it.
     """
+    _acknowledge_left(history)
     history.connection.execute(
         "UPDATE alarms SET closed = a.fit_from, note = 'new fit' FROM arms a WHERE "
         "alarms.serial = a.serial AND closed IS NULL AND alarms.raised < a.fit_from "
@@ -456,10 +459,7 @@ def acknowledge(
     FleetError: the history has no such arm or joint, or the arm no runs.
     """
     closed = open_alarms(history, serial, joint)
-    if last is None:
-        ((last,),) = history.rows("SELECT max(date) FROM runs WHERE serial = ?", [serial])
-    if last is None:
-        raise FleetError(f"{history.path}: arm {serial} has no runs, so nothing to acknowledge")
+    last = last or _last_night(history, serial)
     labels = [label for alarm in closed for label in alarm.labels if ":" in label]
     concerned = {joint} | ({int(x.rpartition(":")[2]) for x in labels} if joint else set())
     with history.transaction():
@@ -470,6 +470,37 @@ def acknowledge(
         )
         now = datetime.now(UTC)
         history.insert("acknowledgements", [(serial, j, last, note, now) for j in concerned])
+    return last
+
+
+def acknowledge_later(
+    path: str, serial: str, *, joint: int | None, note: str, last: date | None
+) -> None:
+    """Leave what `acknowledge` does to the run that has a history open, or to the next one."""
+    with History(path, read_only=True) as history:
+        open_alarms(history, serial, joint)  # refuses other arms and joints
+        night = (last or _last_night(history, serial)).isoformat()
+    with reported(path), left_beside(path).open("a", encoding="utf-8") as file:
+        file.write(json.dumps([serial, joint, note, night]) + "\n")
+
+
+def _acknowledge_left(history: History) -> None:
+    """Acknowledge what was left during a run."""
+    left = left_beside(history.path)
+    while left.exists():
+        text = left.read_text("utf-8")
+        for line in text.splitlines():
+            serial, joint, note, night = json.loads(line)
+            last = date.fromisoformat(night)
+            acknowledge(history, serial, joint=joint, note=note, last=last)
+        if left.read_text("utf-8") == text:  # nothing was added meanwhile
+            left.unlink()
+
+
+def _last_night(history: History, serial: str) -> date:
+    ((last,),) = history.rows("SELECT max(date) FROM runs WHERE serial = ?", [serial])
+    if not isinstance(last, date):
+        raise FleetError(f"{history.path}: arm {serial} has no runs, so nothing to acknowledge")
     return last
 
 

@@ -304,6 +304,12 @@ def reading_name(file: Path) -> Path:
     return file.with_name(f"{file.stem}.read{file.suffix}")
 
 
+def left_beside(path: str | Path) -> Path:
+    """Return the file with acknowledgements that a run is to record, as lines of JSON."""
+    file = Path(os.path.realpath(path))
+    return file.with_name(f"{file.stem}.acknowledged")
+
+
 def _log_of(file: Path) -> Path:
     """Return the path of DuckDB's log, whose content is not in the file yet."""
     return file.with_name(f"{file.name}.wal")

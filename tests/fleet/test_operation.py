@@ -18,7 +18,7 @@ from lieid_casadi.cli.main import main
 from lieid_casadi.errors import FleetError
 from lieid_casadi.fleet import cluster
 from lieid_casadi.fleet import history as history_file
-from lieid_casadi.fleet.alarms import Alarm, alarms_to_report, read_alarms
+from lieid_casadi.fleet.alarms import Alarm, alarms_to_report, judge_new_nights, read_alarms
 from lieid_casadi.fleet.arm_history import read_arms
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.night_result import NightResult
@@ -205,6 +205,10 @@ def test_a_history_may_be_read_and_copied_while_a_run_changes_it(tmp_path, capsy
             assert main(["fleet", "report", str(path), "--html", str(tmp_path / "r.html")]) == 0
             assert main(["fleet", "backup", str(path), str(tmp_path / "copy.duckdb")]) == 0
             assert "latest batch of the run in progress" in capsys.readouterr().out
+            words = ["fleet", "acknowledge", str(path), "A1", "--note", "greased"]
+            assert main(words) == 0
+            assert "acknowledges this before it judges" in capsys.readouterr().out
+            assert main([*words, "--joint", "9"]) == 2
             assert main(["fleet", "retire", str(path), "A1"]) == 2
             assert f"in use by process {other.pid}" in capsys.readouterr().err
             os.kill(other.pid, 9)  # what it has written since is beside the file
@@ -214,6 +218,10 @@ def test_a_history_may_be_read_and_copied_while_a_run_changes_it(tmp_path, capsy
     with History(tmp_path / "copy.duckdb", read_only=True) as copy:
         assert copy.rows("SELECT count(*) FROM runs") == [(10,)]
         assert copy.rows("SELECT count(*) FROM calls") == [(2,)]
+    with History(path) as history:
+        judge_new_nights(history)
+        (row,) = history.rows("SELECT serial, joint, date, note FROM acknowledgements")
+        assert row == ("A1", None, FIRST + timedelta(days=4), "greased")
     assert {file.name for file in tmp_path.glob("h.*")} == {"h.duckdb", "h.read.duckdb"}
     assert main(["fleet", "backup", str(tmp_path / "none"), str(tmp_path / "x")]) == 2
 
