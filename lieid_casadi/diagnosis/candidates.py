@@ -35,20 +35,13 @@ VELOCITY_SCALES = (3.0, 0.35)
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One effect in one place, with its shape parameters on a grid.
-
-    Attributes
-    ----------
-    placement : Placement
-    grid : (G, s)
-        Values of the shape parameters to try, (1, 0) without any. For effects computed along a
-        whole segment without shape parameters, coefficients at which their columns are evaluated.
-    recording : int or None
-        The one recording (from 0) in which it acts; None for all of them.
-    """
+    """One effect in one place, with its shape parameters on a grid."""
 
     placement: Placement
+    #: (G, s): values of the shape parameters to try, (1, 0) without any; of effects computed along
+    #: a whole segment without shape parameters, coefficients at which their columns are evaluated
     grid: Array
+    #: the one (from 0) in which it acts; None for all of them
     recording: int | None = None
 
     def refined(self, points: Sequence[int], positions: Sequence[float]) -> Candidate:

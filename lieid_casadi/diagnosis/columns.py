@@ -40,18 +40,10 @@ class JointColumns:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Columns of candidates, in groups: one group is a candidate at one point of its grid.
-
-    Attributes
-    ----------
-    owners : tuple of Candidate
-    owner, point, start, size : (G,) int
-        Of each group: its candidate, its grid point, its first column, its number of columns.
-    joints : tuple of JointColumns
-        One per joint.
-    """
+    """Columns of candidates, in groups: one group is a candidate at one point of its grid."""
 
     owners: tuple[Candidate, ...]
+    #: (G,) each: of a group its candidate, its grid point, its first column, its number of columns
     owner: Indices
     point: Indices
     start: Indices

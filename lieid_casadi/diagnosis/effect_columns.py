@@ -34,20 +34,12 @@ def signals_of(own: Mapping[str, ca.SX]) -> Signals:
 
 @dataclass(frozen=True, eq=False)
 class SegmentSignals:
-    """The signals that effects depend on, along one segment.
-
-    Attributes
-    ----------
-    segment : Processed
-        Of K instants.
-    values : dict
-        Signal → (K, n).
-    arm : ModelAlongSegment
-        The model along the segment, for effects that are computed along the whole of it.
-    """
+    """The signals that effects depend on, along one segment."""
 
     segment: Processed
+    #: by signal: (K, n) at its instants
     values: dict[str, Array]
+    #: for effects that are computed along the whole segment
     arm: ModelAlongSegment
 
     @classmethod

@@ -32,37 +32,24 @@ ALIKE = 0.5  # part of an effect's torque that a group must be able to replace t
 
 @dataclass(frozen=True, eq=False)
 class Slot:
-    """One effect of the path on all rows, as the held-out parts judge it.
-
-    Attributes
-    ----------
-    group : int
-    gains : (K,)
-        ln of the error of each held-out part without it over that with it, on the joints on which
-        it acts.
-    deviations : float
-        Their mean in its standard errors.
-    before, after : (n,)
-        Weighted held-out sum of squares of each joint without it and with it.
-    selected, selected_any : float
-        Fraction of the paths that contain it, and that contain it or a rival.
-    instead : tuple of int
-        Groups that are in its place in paths without it.
-    values : (k,)
-        Coefficients beside the whole path.
-    joint : int
-        Its joint; of an effect on all joints that whose error falls most.
-    """
+    """One effect of the path on all rows, as the held-out parts judge it."""
 
     group: int
+    #: (K,): ln of the error of each held-out part without it over that with it, on its joints
     gains: Array
+    #: their mean in its standard errors
     deviations: float
+    #: (n,) each: weighted held-out sum of squares of each joint without it and with it
     before: Array
     after: Array
+    #: fraction of the paths that contain it, and that contain it or a rival
     selected: float
     selected_any: float
+    #: groups that are in its place in paths without it
     instead: tuple[int, ...]
+    #: (k,): coefficients beside the whole path
     values: Array
+    #: of an effect on all joints that whose error falls most
     joint: int
 
     @property

@@ -24,22 +24,15 @@ LARGEST_GAP = 0.25  # of the length of a part
 
 @dataclass(frozen=True, eq=False)
 class Folds:
-    """K held-out parts of the rows of all joints.
+    """K held-out parts of the rows of all joints."""
 
-    Attributes
-    ----------
-    held : (K, R) bool
-        Rows of each part.
-    out : (K, R) bool
-        These, and the rows within ``gap`` seconds of them, whose noise is correlated with theirs.
-    gap : float
-    independent : (n,) int
-        Stretches of the recordings, as long as the correlation of each joint's residual.
-    """
-
+    #: (K, R): rows of each part
     held: Mask
+    #: (K, R): these, and the rows within ``gap`` seconds of them, whose noise is correlated with
+    #: theirs
     out: Mask
     gap: float
+    #: (n,): stretches of the recordings, as long as the correlation of each joint's residual
     independent: NDArray[np.intp]
 
     @property

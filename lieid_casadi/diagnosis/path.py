@@ -29,19 +29,13 @@ RANK = 1e-9  # of a model's pivot, relative to the largest
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """The span of a model's columns on all rows, and the residual outside it.
+    """The span of a model's columns on all rows, and the residual outside it."""
 
-    Attributes
-    ----------
-    basis : (R + k, p)
-        Orthonormal. The last k rows are those of a prior, which every set of rows contains.
-    residual : (R + k,)
-    ends : (n + 1,) int
-        Joint j has rows ends[j] to ends[j + 1]; R rows in all.
-    """
-
+    #: (R + k, p): orthonormal; the last k rows are those of a prior, which every set of rows has
     basis: Array
+    #: (R + k,)
     residual: Array
+    #: (n + 1,): joint j has rows ends[j] to ends[j + 1]; R rows in all
     ends: NDArray[np.intp]
 
     @classmethod
@@ -248,28 +242,17 @@ class Paths:
 
 @dataclass(frozen=True, eq=False)
 class PathState:
-    """A path: coordinates of all columns along model and path, and what is outside both.
-
-    Attributes
-    ----------
-    groups : tuple of int
-        Of the path.
-    model : (a, m)
-        Coordinates along the model's directions.
-    along, residual : (b, m), (b,)
-        Coordinates of the columns and of the residual along the directions of the path.
-    products : (m,)
-        With the residual, outside.
-    inner : Grams
-        Outside.
-    """
+    """A path: coordinates of all columns along model and path, and what is outside both."""
 
     paths: Paths
     part: int
     groups: tuple[int, ...]
+    #: (a, m): coordinates along the model's directions
     model: Array
+    #: (b, m) and (b,): of the columns and of the residual along the directions of the path
     along: Array
     residual: Array
+    #: (m,): of the columns with the residual, outside
     products: Array
     inner: Grams
 
@@ -345,26 +328,17 @@ class PathState:
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """What a path may contain.
+    """What a path may contain."""
 
-    Attributes
-    ----------
-    penalty : (G,)
-        What each group must gain at least.
-    usable : (G,) bool
-        Groups that are candidates.
-    smooth : (G,) bool
-        Smooth functions among them: they come after all others, except on some joints.
-    allowed : callable
-        Of a group and its coefficients: whether it may be in a path.
-    most : int
-        Length of a path.
-    """
-
+    #: (G,): what each group must gain at least
     penalty: Array
+    #: (G,): groups that are candidates
     usable: Mask
+    #: (G,): smooth functions, which come after all others, except on some joints
     smooth: Mask
+    #: of a group and its coefficients: whether it may be in a path
     allowed: Callable[[int, Array], bool]
+    #: length of a path
     most: int
 
 

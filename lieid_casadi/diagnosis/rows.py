@@ -37,31 +37,21 @@ EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, b
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """A fit, its decimated rows along recordings, and the columns of all candidates on them.
-
-    Attributes
-    ----------
-    fit : Fit
-    segments : tuple of Processed
-        Temperatures relative to the fit's mean.
-    runs : tuple of Runs
-        Instants of each joint that are used, at twice the cut-off, without rests.
-    model : tuple of (R_j, p)
-        Of each joint: the model's columns, the derivatives by its shape parameters, and columns
-        set apart (`with_apart`).
-    torque, residual : tuple of (R_j,)
-        Of each joint: measured torque, and its difference from the fit's prediction, N·m.
-    columns : Columns
-        Of the candidates, not weighted.
-    """
+    """A fit, its decimated rows along recordings, and the columns of all candidates on them."""
 
     fit: Fit
+    #: temperatures relative to the fit's mean
     segments: tuple[Processed, ...]
+    #: instants of each joint that are used, at twice the cut-off, without rests
     runs: tuple[Runs, ...]
+    #: (R_j, p) of each joint: the model's columns, the derivatives by its shape parameters, and
+    #: columns set apart (`with_apart`)
     model: tuple[Array, ...]
+    #: (R_j,) of each joint: measured torque, and its difference from the fit's prediction, N·m
     torque: tuple[Array, ...]
     residual: tuple[Array, ...]
     signals: tuple[SegmentSignals, ...]
+    #: of the candidates, not weighted
     columns: Columns
     store: ColumnStore
 

@@ -42,22 +42,15 @@ LEAST_RIVAL = 0.5  # of the gain of a group of the path: rivals from here are re
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """What a round of the search found.
+    """What a round of the search found."""
 
-    Attributes
-    ----------
-    rows : Rows
-        With the grids that were refined.
-    spread : (n,)
-        Standard deviation of the residual beside the path, N·m, by which rows are weighted.
-    slots : tuple of Slot
-        The effects of the path on all rows, in its order.
-    """
-
+    #: with the grids that were refined
     rows: Rows
+    #: (n,): standard deviation of the residual beside the path, N·m, by which rows are weighted
     spread: Array
     folds: Folds
     paths: Paths
+    #: the effects of the path on all rows, in its order
     slots: tuple[Slot, ...]
 
     def candidate(self, group: int) -> Candidate:

@@ -343,28 +343,18 @@ def _difference(before: Array | None, after: Array | None, joint: int) -> float 
 
 @dataclass(frozen=True, eq=False)
 class FinalModel:
-    """The final model on its training recordings and on a test.
-
-    Attributes
-    ----------
-    fit : Fit
-    train, test : tuple of (p + 1, p + 1)
-        Of each joint: inner products of columns and torque of its rows in motion. ``test`` is
-        None without one.
-    priors : (p + 1, p + 1)
-        Inner products of what is known before any data.
-    counts, test_counts : (n,)
-        Numbers of these rows.
-    folds : tuple of Fold
-        Those of the fit's cross-validated error.
-    """
+    """The final model on its training recordings and on a test."""
 
     fit: Fit
+    #: (p + 1, p + 1) of each joint: inner products of columns and torque of its rows in motion
     train: tuple[Array, ...]
+    #: (p + 1, p + 1): inner products of what is known before any data
     priors: Array
+    #: (n,): numbers of these rows
     counts: Array
     test: tuple[Array, ...] | None
     test_counts: Array
+    #: those of the fit's cross-validated error
     folds: tuple[Fold, ...]
 
     @classmethod

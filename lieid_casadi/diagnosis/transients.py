@@ -248,34 +248,22 @@ def _fault(own: ResidualSignals, stretch: Stretch) -> str:
 
 @dataclass(frozen=True, eq=False)
 class ResidualSignals:
-    """Error of a fit along one segment at M instants.
-
-    Attributes
-    ----------
-    segment : Processed
-    time : (M,)
-        s, on the recording's clock.
-    error : (M, n)
-        Measured − predicted torque, N·m.
-    transient : (M, n)
-        Error without what functions of the joint's own motion explain, N·m.
-    slack : (M, n)
-        Torque that dry friction may add or not, N·m.
-    still : (M, n) bool
-        Whether a joint stays in a small range.
-    state : (M, n, 3)
-        Velocity, acceleration and load of each joint relative to their largest values.
-    place, direction : (M, n)
-        Position of each joint relative to its range, and sign of its velocity.
-    """
+    """Error of a fit along one segment at M instants."""
 
     segment: Processed
+    #: (M,): s, on the recording's clock
     time: Array
+    #: (M, n): measured − predicted torque, N·m
     error: Array
+    #: (M, n): error without what functions of the joint's own motion explain, N·m
     transient: Array
+    #: (M, n): torque that dry friction may add or not, N·m
     slack: Array
+    #: (M, n): whether a joint stays in a small range
     still: Mask
+    #: (M, n, 3): velocity, acceleration and load of each joint relative to their largest values
     state: Array
+    #: (M, n) each: position of each joint relative to its range, and sign of its velocity
     place: Array
     direction: Array
 

@@ -38,7 +38,6 @@ from lieid_casadi.workbench.workbench import Workbench
 COLUMNS = 900  # pixels of the plot: minimum and maximum are kept for each
 MOST_SAMPLES = 350  # of one direction in a plot of the error
 NEAR = 0.03  # of the range of a spectrum: a click so near means a peak
-EXCLUDED = "#b0b6bc"
 LEGEND = {"top": 0, "right": 10, "itemHeight": 8, "textStyle": {"fontSize": 11}}
 Line = list[list[float | None]]  # [x, y] pairs; a pair of None interrupts the line
 
