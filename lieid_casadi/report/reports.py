@@ -275,12 +275,13 @@ def payload_report(fit: Fit, payload: PayloadEstimate) -> str:
         "RMS error in motion, measured and predicted through the same filter: with the fit alone, "
         "and with the payload added."
     )
+    excite = [("move the payload so that all of it acts", "lieid excite FIT -o motion")]
     return render(
         f"{payload.robot}: payload",
         [
             table_section("", sentences=[payload.sentence]),
             _payload(payload),
-            *_next_commands(_after_payload(payload)),
+            *_next_commands(excite if payload.not_identified else []),
             picture_section("Error per joint", payload.plot(), note),
             _warnings(payload.warnings, fit.warnings),
             *fit_sections(fit),
@@ -420,12 +421,6 @@ def _payload(payload: PayloadEstimate) -> Section:
         text={"", "unit"},
         weak=[not row["identified"] for row in rows],
     )  # fmt: skip
-
-
-def _after_payload(payload: PayloadEstimate) -> list[tuple[str, str]]:
-    if not payload.not_identified:
-        return []
-    return [("move the payload so that all of it acts", "lieid excite FIT -o motion")]
 
 
 def _payload_row(row: dict[str, Any]) -> tuple[object, ...]:

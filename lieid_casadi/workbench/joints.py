@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,10 +46,7 @@ class JointsView(View):
         self._errors: StepErrors | None = None  # the last that were known
         with ui.column().classes("panel w-full"):
             self._title = ui.label("Error of each joint").classes("panel-title")
-            self._list = Parts("joint-list", self._select)
-
-    async def _select(self, joint: str) -> None:
-        self.workbench.show(replace(self.workbench.session, joint=int(joint)))
+            self._list = Parts("joint-list", workbench.select)
 
     def update(self) -> None:
         """Show the errors of the current step; while it is fitted, the last ones, in grey."""
@@ -185,11 +181,8 @@ class Overview(View):
         with ui.column().classes("panel w-full"):
             title = "All joints: measured and predicted torque, error below"
             ui.label(title).classes("panel-title")
-            self._list = Parts("overview", self._select)
+            self._list = Parts("overview", workbench.select)
             named(self._list.element, "overview")
-
-    async def _select(self, joint: str) -> None:
-        self.workbench.show(replace(self.workbench.session, joint=int(joint)))
 
     def update(self) -> None:
         """Draw the recording."""

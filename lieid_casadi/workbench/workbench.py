@@ -172,6 +172,10 @@ class Workbench:
         if moved:
             self.background(self._load_motion())
 
+    async def select(self, joint: str) -> None:
+        """Show another joint, from 0."""
+        self.show(replace(self.session, joint=int(joint)))
+
     def look(self, view: PlotView) -> None:
         """Show another range or instant of time."""
         self.view = view
@@ -238,12 +242,15 @@ class Workbench:
             count = len(chosen)
             title = f"+ {chosen[0].label}" if count == 1 else f"+ all {count} effects found"
             added = session.with_effects(title, found.model)
-        self.playing = path[0] if path else before.shown if before and len(chosen) > 1 else None
+        first = path[0] if path else before.shown if before and len(chosen) > 1 else None
+        self.playing = first
         await self.apply(added)
+        between = list(path[1:-1])
         after = None if self.session.step is None else self.session.step.errors
-        if self.playing and after and not path:
-            path = joint_by_joint(self.playing, after.shown, [p.joint for p in chosen])
-        between = path[1:-1]
+        if first and after and not path:  # the errors of one joint after the other
+            done = [[p.joint for p in chosen[:k]] for k in range(1, len(chosen) + 1)]
+            both = list(enumerate(zip(first, after.shown, strict=True)))
+            between = [tuple(pair[j in fallen] for j, pair in both) for fallen in done]
         for errors in between:
             self.playing = errors
             self.changed()
@@ -442,18 +449,3 @@ class Workbench:
             save_session(self.name, self.session)
         except LieidError as error:
             self.error = str(error)
-
-
-def joint_by_joint(before: Numbers, after: Numbers, joints: Sequence[int]) -> tuple[Numbers, ...]:
-    """Return errors on the way from those before to those after, which fall one after the other.
-
-    Examples
-    --------
-    >>> joint_by_joint((3.0, 2.0, 1.0), (3.1, 1.0, 0.5), [2, 1])
-    ((3.0, 2.0, 1.0), (3.0, 2.0, 0.5), (3.0, 1.0, 0.5), (3.1, 1.0, 0.5))
-    """
-    path = [before]
-    for joint in joints:
-        last = path[-1]
-        path.append((*last[:joint], after[joint], *last[joint + 1 :]))
-    return (*path, after)

@@ -183,5 +183,10 @@ def test_all_effects_are_added_with_the_fit_of_the_diagnosis(page):
         await workbench.apply(workbench.session.at(0))
         await workbench.add_found(["stribeck:1"])
         assert workbench.session.step.effects == (*first.effects, "stribeck:1")
+        before = workbench.session.step.errors.shown
+        played.clear()
+        await workbench.add_found(["stribeck:1", "viscous:1"])  # those that are missing
+        assert (played[0], played[-1]) == (before, None)
+        assert workbench.session.step.errors.shown in played  # of one joint after the other
 
     asyncio.run(run())
