@@ -18,12 +18,7 @@ from lieid_casadi.recording.conversion import ANGLE_UNITS
 from lieid_casadi.recording.readers.columns import COMMANDED, OTHERS, TIMES, WORDS
 from lieid_casadi.recording.sample_timing import TIME_UNITS
 from lieid_casadi.workbench.elements import View, button, icon_button, named, text
-from lieid_casadi.workbench.session import (
-    RecordingInput,
-    Role,
-    WorkbenchInputs,
-    upload_file,
-)
+from lieid_casadi.workbench.session import RecordingInput, Role, WorkbenchInputs, upload_file
 from lieid_casadi.workbench.workbench import Workbench
 
 ROBOT_FILES = (".urdf", ".xml", ".yaml", ".yml", ".json")

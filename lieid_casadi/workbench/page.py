@@ -27,12 +27,7 @@ from lieid_casadi.workbench.joints import (
     WaterfallView,
 )
 from lieid_casadi.workbench.open_panel import OpenPanel
-from lieid_casadi.workbench.plots import (
-    CorrelationPlot,
-    ResidualPlot,
-    SpectrumPlot,
-    TorquePlot,
-)
+from lieid_casadi.workbench.plots import CorrelationPlot, ResidualPlot, SpectrumPlot, TorquePlot
 from lieid_casadi.workbench.premises import PremisesView
 from lieid_casadi.workbench.workbench import SOON, Work, Workbench
 

@@ -12,10 +12,7 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments, ValueChangeEventArguments
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.comparison.plot_style import (
-    envelope,
-    thin,
-)
+from lieid_casadi.comparison.plot_style import envelope, thin
 from lieid_casadi.comparison.plots import binned_mean, intervals
 from lieid_casadi.comparison.series import (
     Series,
@@ -24,21 +21,13 @@ from lieid_casadi.comparison.series import (
     strongest_at,
 )
 from lieid_casadi.tables import figures
-from lieid_casadi.workbench.elements import (
-    Chart,
-    View,
-    button,
-    named,
-    set_text,
-    text,
-)
+from lieid_casadi.workbench.elements import Chart, View, button, named, set_text, text
 from lieid_casadi.workbench.evaluation import series_of
 from lieid_casadi.workbench.workbench import Workbench
 
 COLUMNS = 900  # pixels of the plot: minimum and maximum are kept for each
 MOST_SAMPLES = 350  # of one direction in a plot of the error
 NEAR = 0.03  # of the range of a spectrum: a click so near means a peak
-LEGEND = {"top": 0, "right": 10, "itemHeight": 8, "textStyle": {"fontSize": 11}}
 Line = list[list[float | None]]  # [x, y] pairs; a pair of None interrupts the line
 
 
