@@ -117,7 +117,7 @@ def judge(
         for e, group in enumerate(whole):
             mine = members[k][group]
             candidate = columns.candidate(group)
-            own = _joints_of(candidate, n)
+            own = range(n) if candidate.reaches_all else [candidate.joint]
             kinds = candidate.effect.like_uncertain_friction
             beside = [places[kind][j] for kind in kinds for j in own]
             used = _without_later_functions(path, mine, columns)
@@ -243,10 +243,6 @@ def solved(gram: Array, products: Array) -> Array:
     sizes, axes = np.linalg.eigh(gram / size / size[:, None])
     seen = sizes > DEPENDENT * max(float(sizes.max(initial=0.0)), 1e-300)
     return np.asarray(axes[:, seen] @ (axes[:, seen].T @ (products / size) / sizes[seen]) / size)
-
-
-def _joints_of(candidate: Candidate, n: int) -> list[int]:
-    return list(range(n)) if candidate.reaches_all else [candidate.joint]
 
 
 def _joint_of(candidate: Candidate, before: Array, after: Array) -> int:

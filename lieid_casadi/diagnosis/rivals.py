@@ -132,10 +132,6 @@ def _blocks(found: Round) -> NDArray[np.intp]:
 def _squares(found: Round, columns: Sequence[Array], block: NDArray[np.intp]) -> Array:
     """Return the sum of squared errors of each block of the model with further columns."""
     residual = found.paths.span.residual
-    error = residual - _projection(np.hstack(list(columns)), residual)
+    more = np.hstack(list(columns))
+    error = residual - more @ solved(more.T @ more, more.T @ residual)
     return np.asarray(np.bincount(block, weights=error[: len(block)] ** 2), dtype=float)
-
-
-def _projection(columns: Array, values: Array) -> Array:
-    """Return the projection of values (R,) onto columns (R, k)."""
-    return np.asarray(columns @ solved(columns.T @ columns, columns.T @ values))

@@ -218,13 +218,9 @@ def _with_single_recordings(rows: Rows) -> Rows:
     single = [
         g
         for g, k in enumerate(columns.owner)
-        if columns.point[g] == 0 and _is_linear(columns.owners[k])
+        if columns.point[g] == 0 and not columns.owners[k].effect.shapes
     ]
     return replace(rows, columns=columns.with_only(rows.recording_of, single))
-
-
-def _is_linear(candidate: Candidate) -> bool:
-    return not candidate.effect.shapes and candidate.name != SMOOTH
 
 
 def _weighted(rows: Rows, spread: Array, prior: Array | None) -> tuple[Span, Columns]:

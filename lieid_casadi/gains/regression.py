@@ -60,7 +60,8 @@ def solve_gains(unloaded: Design, loaded: Design, mass: float) -> GainSolution:
     size = np.array([_size(j.matrix[:, k]) for k, j in enumerate(rows.joints)])
     found, converged = _linear_start(combine(factors, 1.0 / size), n), False
     for _ in range(MOST_ITERATIONS):
-        noise = np.array([_size(e) for e in _residuals(rows, found)]) / _nonzero(found[:n])
+        gains = np.where(found[:n] != 0.0, np.abs(found[:n]), 1.0)
+        noise = np.array([_size(e) for e in _residuals(rows, found)]) / gains
         before, found = found[:n], _most_likely(factors, found, noise)
         change = np.abs(found[:n] - before) / np.maximum(np.abs(found[:n]), 1e-300)
         converged = bool(change.max() <= CONVERGED)
@@ -171,10 +172,6 @@ def _most_likely(factors: Sequence[Factor], start: Array, noise: Array) -> Array
 
 def _residuals(rows: Rows, found: Array) -> list[Array]:
     return [joint.matrix @ np.append(found, 1.0) for joint in rows.joints]
-
-
-def _nonzero(gains: Array) -> Array:
-    return np.where(gains != 0.0, np.abs(gains), 1.0)
 
 
 def _size(error: Array) -> float:

@@ -171,7 +171,7 @@ def drift_table(simulation: Simulation) -> Table:
         columns.insert(2, s.nominal.rms)
         headings.insert(3, "nominal model")
     rows = [
-        (f"{j + 1} {name}", *(_degrees(column[j]) for column in columns))
+        (f"{j + 1} {name}", *(number_or_none(np.degrees(column[j])) for column in columns))
         for j, name in enumerate(s.joint_names)
     ]
     plural = "" if s.windows == 1 else "s"
@@ -184,10 +184,6 @@ def drift_table(simulation: Simulation) -> Table:
         "nominal model has the stated inertias and no effects; whole segments from their first "
         "state",
     )
-
-
-def _degrees(angle: float) -> float | None:
-    return number_or_none(np.degrees(angle))
 
 
 def simulate(

@@ -112,7 +112,7 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
         model, values, None, as_measured=False, payload=False, sign=sign, command_error=error
     )
     m = torque.motion
-    to_motors, to_links, to_twists = (_sparse(a) for a in (x.motors, x.links, x.twists))
+    to_motors, to_links, to_twists = (ca.sparsify(ca.DM(a)) for a in (x.motors, x.links, x.twists))
     half_plays = ca.DM([0.5 * play.width for play in x.plays])
     start, speed = ca.SX.sym("position", x.size), ca.SX.sym("speed", x.size)
     before = ca.SX.sym("before", x.size)  # acceleration of the last step
@@ -149,10 +149,6 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
     inputs = [state, given, torque.temperature, torque.time, h, numbers]
     names = ["state", "input", "temperature", "time", "h", "numbers"]
     return ca.Function("step", inputs, [ca.densify(result)], names, ["after"], {"cse": True})
-
-
-def _sparse(matrix: np.ndarray[Any, Any]) -> ca.DM:
-    return ca.sparsify(ca.DM(matrix))
 
 
 def _forces(

@@ -244,7 +244,7 @@ def refine_shapes(design: Design, start: Array, links: Array | None, noise: Arra
     ``links`` (10 n,) give the load, None means no load; rows are weighted by the inverse of the
     ``noise`` (n,). Shapes that are not fitted stay as they are.
     """
-    free = _fitted(design)
+    free = np.flatnonzero([shape.fitted for shape in design.model.shapes])
     problem = _weighted_problem(design, start, links, noise, free)
     return _replaced(start, free, minimize_shapes(problem, start[free]))
 
@@ -330,10 +330,6 @@ def resolved_range(design: Design) -> ShapeRange:
             if low < high:
                 lower[k], upper[k] = low, high
     return ShapeRange(lower, upper)
-
-
-def _fitted(design: Design) -> NDArray[np.intp]:
-    return np.flatnonzero([shape.fitted for shape in design.model.shapes])
 
 
 def _replaced(values: Array, at: NDArray[np.intp], new: Array) -> Array:
