@@ -11,8 +11,12 @@ is the share of the measured torque in motion within the 90 % bands of samples a
 import argparse
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from hidden_effects.arms import load_arm
 
 import lieid_casadi as lieid

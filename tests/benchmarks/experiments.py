@@ -17,8 +17,12 @@ import argparse
 import json
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from hidden_effects.effect_library import MISSING, ReferenceMotion, ScalableEffect
 from hidden_effects.foreign import FORMS, foreign
 

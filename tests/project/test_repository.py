@@ -1,7 +1,10 @@
 """Files around the code: version, C side, the README's commands, layers, fit files of 0.1.0."""
 
 import itertools
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -29,6 +32,23 @@ def test_installed_codegen_folder_goes_first(monkeypatch, tmp_path):
         (folder / "README.md").touch()
     monkeypatch.setattr("lieid_casadi.codegen_files._PACKAGE", tmp_path / "lieid_casadi")
     assert codegen_folder() == tmp_path / "lieid_casadi" / "codegen"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "script",
+    [
+        p
+        for p in sorted((ROOT / "tests/benchmarks").glob("*.py"))
+        if "parse_args()" in p.read_text()
+    ],
+    ids=lambda path: path.stem,
+)
+def test_benchmarks_start_as_documented(script, tmp_path):
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    command = [sys.executable, script, "--help"]
+    done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_readme_has_the_two_commands_that_ci_runs():
