@@ -115,8 +115,8 @@ def _judged(
 
     Smooth functions come first on the joints where the error of the held-out parts is lower so, or
     where only so anything lowers it: many effects of the library together resemble a torque that
-    none of them describes. Where the library needs such a function as well, or more effects, any
-    lower error is enough.
+    none of them describes. Where one function is all and the library needs such a function as
+    well, or several effects, any lower error is enough.
     """
     rules = _rules(paths.columns, rows, options, dependence)
     every = range(len(rows.runs))
@@ -152,7 +152,7 @@ def _judged(
     needed = {paths.columns.candidate(g).joint for g in whole if rules.smooth[g]}
     lower = after.sum(axis=0) < before.sum(axis=0)
     better = {j for j in first if fewer[j] and not many[j]}
-    better |= {j for j in first if lower[j] and (j in needed or 0 < fewer[j] < many[j])}
+    better |= {j for j in first if lower[j] and fewer[j] == 1 and (j in needed or many[j] > 1)}
     better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
     if better == first:
         return folds, so
