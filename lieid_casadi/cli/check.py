@@ -5,18 +5,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import PremiseError, warning_list
-
-if TYPE_CHECKING:
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.premises import PremiseCheck
-    from lieid_casadi.recording import Recording
-    from lieid_casadi.robot import Robot
-    from lieid_casadi.tables import Table
+from lieid_casadi.tables import Table
 
 WRONG = 4  # exit status
 
@@ -33,17 +28,17 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --test T …: input  recordings to test a fit on: whether they are another motion
     @RECORDING @JSON @HTML
     """
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.premises import check
     from lieid_casadi.recording import require_plausible_units
     from lieid_casadi.report import premises_report
 
-    source: Robot | Fit = Fit.load(args.robot) if inputs.is_fit(args) else inputs.robot_of(args)
-    robot = source.model.robot if isinstance(source, Fit) else source
+    source: lieid.Robot | lieid.Fit = (
+        lieid.Fit.load(args.robot) if inputs.is_fit(args) else inputs.robot_of(args)
+    )
+    robot = source.model.robot if isinstance(source, lieid.Fit) else source
     recordings = inputs.recordings_of(args.recordings, args, source, any_unit=True)
     test = inputs.recordings_of(args.test, args, source)
     with output.progress("check") as report:
-        found = check(source, recordings, test=test, progress=report)
+        found = lieid.check(source, recordings, test=test, progress=report)
     if not {"time_unit", "position_unit"} & {finding.premise for finding in found.findings}:
         for recording in recordings:
             require_plausible_units(recording, robot)
@@ -64,9 +59,9 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
 def premises_of(
     args: argparse.Namespace,
-    source: Robot | Fit,
-    recordings: Sequence[Recording],
-    test: Sequence[Recording] = (),
+    source: lieid.Robot | lieid.Fit,
+    recordings: Sequence[lieid.Recording],
+    test: Sequence[lieid.Recording] = (),
     *,
     loaded: bool = False,
 ) -> list[dict[str, Any]]:
@@ -88,7 +83,7 @@ def premises_of(
     return [finding.to_dict() for finding in found.findings]
 
 
-def shown(found: PremiseCheck) -> tuple[str | Table, ...]:
+def shown(found: lieid.PremiseCheck) -> tuple[str | Table, ...]:
     """Return the verdict, the findings, and the errors without and with each correction."""
     findings = (f"  {'!!' if f.certain else '!'} {f.sentence}" for f in found.findings)
     return (found.sentence, *findings, found.table)

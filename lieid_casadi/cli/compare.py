@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
 from lieid_casadi.cli.options import command
@@ -17,13 +18,12 @@ def run(args: argparse.Namespace) -> output.Outcome:
     recordings REC …: input  recordings to compare it with
     @RECORDING @DESPITE_CHECK @JSON @HTML
     """
-    from lieid_casadi.comparison import compare
     from lieid_casadi.comparison.comparison import error_table, largest_errors_table, verdict
     from lieid_casadi.report import comparison_report
 
     fit, recordings = inputs.fit_and_recordings(args)
     premises = premises_of(args, fit, recordings)
-    comparison = compare(fit, recordings)
+    comparison = lieid.compare(fit, recordings)
     return output.Outcome(
         (
             verdict(comparison),

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import output
 from lieid_casadi.cli.options import command
 from lieid_casadi.tables import Table, figures, make_table
@@ -25,11 +26,10 @@ def run(args: argparse.Namespace) -> output.Outcome:
     @JSON
     """
     from lieid_casadi.demo import run_demo
-    from lieid_casadi.robot import Robot
 
     folder = Path(args.output)
     with output.progress("demo") as report:
-        demo = run_demo(Robot.load(args.robot), seed=args.seed, progress=report)
+        demo = run_demo(lieid.Robot.load(args.robot), seed=args.seed, progress=report)
     return output.Outcome(
         shown(demo, folder),
         json={
@@ -44,7 +44,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
 def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
     """Write all files of a demo into a folder, as a whole or not at all."""
-    from lieid_casadi.exporters.export import export
     from lieid_casadi.output_folder import output_folder
     from lieid_casadi.report import diagnosis_report
 
@@ -62,7 +61,7 @@ def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
             figure.savefig(fresh / name, dpi=110)
         report = diagnosis_report(demo.diagnosis, demo.better_comparison)
         (fresh / "report.html").write_bytes(report.encode(errors="replace"))
-        export(demo.better, fresh / "c", to="c")
+        lieid.export(demo.better, fresh / "c", to="c")
 
 
 def shown(demo: Demo, folder: Path) -> tuple[str | Table, ...]:

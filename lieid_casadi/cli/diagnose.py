@@ -6,14 +6,15 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, options, output
 from lieid_casadi.cli.check import premises_of
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import LieidWarning, UsageError
+from lieid_casadi.tables import Table
 
 if TYPE_CHECKING:
-    from lieid_casadi.diagnosis import Diagnosis, DiagnosisOptions
-    from lieid_casadi.tables import Table
+    from lieid_casadi.diagnosis import DiagnosisOptions
 
 
 @command(
@@ -55,12 +56,8 @@ def run(args: argparse.Namespace) -> output.Outcome:
     )
 
 
-def _missing(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]:
+def _missing(args: argparse.Namespace) -> tuple[lieid.Diagnosis, list[dict[str, Any]]]:
     """Return the diagnosis and the findings of the check before it."""
-    from lieid_casadi.diagnosis import diagnose
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.model import Model
-
     if args.recordings:
         raise UsageError(
             f"{args.recordings[0]}: expected recordings after --train and --test, "
@@ -69,21 +66,21 @@ def _missing(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]
     if not args.train:
         raise UsageError("no recordings to fit; expected lieid diagnose ROBOT --train A… --test B…")
     robot = inputs.robot_of(args)
-    fit = Fit.load(args.robot) if inputs.is_fit(args) else None
+    fit = lieid.Fit.load(args.robot) if inputs.is_fit(args) else None
     train = inputs.recordings_of(args.train, args, fit or robot)
     test = inputs.recordings_of(args.test, args, fit or robot)
     premises = premises_of(args, robot, train, test)
     if fit is not None and args.effects is None:
-        model = Model(robot, fit.model.effects)
+        model = lieid.Model(robot, fit.model.effects)
     else:
         model = inputs.model_for(args, robot, train)
     with output.progress("diagnose") as report:
-        found = diagnose(
+        found = lieid.diagnose(
             model,
             train,
             test or None,
             method=args.method,
-            processing=inputs.processing_of(args),
+            processing=lieid.Processing(cutoff=args.cutoff),
             seed=args.seed,
             options=_options(args),
             progress=report,
@@ -91,11 +88,8 @@ def _missing(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]
     return found, premises
 
 
-def _changed(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]:
+def _changed(args: argparse.Namespace) -> tuple[lieid.Diagnosis, list[dict[str, Any]]]:
     """Return the diagnosis and the findings of the check before it."""
-    from lieid_casadi.diagnosis import diagnose
-    from lieid_casadi.identification import Fit
-
     if not args.recordings or args.test:
         raise UsageError(
             f"{args.robot}: a fit; expected the recordings measured since (lieid diagnose FIT "
@@ -106,11 +100,13 @@ def _changed(args: argparse.Namespace) -> tuple[Diagnosis, list[dict[str, Any]]]
             f"{', '.join(names)}: without --train, model and filter are those of the fit; "
             "expected --train A… too, or the command without this option"
         )
-    fit = Fit.load(args.robot)
+    fit = lieid.Fit.load(args.robot)
     recordings = inputs.recordings_of(args.recordings, args, fit)
     premises = premises_of(args, fit, recordings)
     with output.progress("diagnose") as report:
-        found = diagnose(fit, recordings, options=_options(args), seed=args.seed, progress=report)
+        found = lieid.diagnose(
+            fit, recordings, options=_options(args), seed=args.seed, progress=report
+        )
     return found, premises
 
 
@@ -123,7 +119,7 @@ def _options(args: argparse.Namespace) -> DiagnosisOptions:
     return DiagnosisOptions(worth=args.worth, worth_of_change=args.worth)
 
 
-def shown(diagnosis: Diagnosis) -> Iterator[str | Table | LieidWarning]:
+def shown(diagnosis: lieid.Diagnosis) -> Iterator[str | Table | LieidWarning]:
     """Yield the verdict, the errors of all models, rivals, and rejected candidates."""
     from lieid_casadi.diagnosis.result import (
         alias_sentence,

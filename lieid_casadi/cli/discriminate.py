@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.excite import INTERRUPTED
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 from lieid_casadi.tables import Table, make_table
-
-if TYPE_CHECKING:
-    from lieid_casadi.discrimination import Discrimination
 
 
 @command("discriminate", "design the trajectory that separates rival effects")
@@ -36,12 +33,10 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --seed N: seed = 0  seed of the search
     @JSON
     """
-    from lieid_casadi.discrimination import discriminate
-
     sizes = dict(_size(text) for text in args.size)
     fit = inputs.fit_of(args, args.fit)
     with output.progress("discriminate") as report:
-        result = discriminate(
+        result = lieid.discriminate(
             fit, args.effects, sizes=sizes,
             level=args.level, duration=args.duration, harmonics=args.harmonics,
             start_pose=args.start_pose or None, acceleration=args.acceleration or None,
@@ -65,7 +60,7 @@ def _size(text: str) -> tuple[str, list[float]]:
         raise UsageError(f"--size {text}: expected EFFECT=V1[,V2…], as stribeck:4=0.5") from None
 
 
-def shown(result: Discrimination, folder: Path) -> tuple[str | Table, ...]:
+def shown(result: lieid.Discrimination, folder: Path) -> tuple[str | Table, ...]:
     """Return the result, pair by pair."""
     pairs = make_table(
         "Residual if one effect is true and the other is fitted",

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import output
 from lieid_casadi.cli.options import command
 from lieid_casadi.tables import Table, make_table
-
-if TYPE_CHECKING:
-    from lieid_casadi.effects import Effect
 
 
 @command("effects", "the library of effects, or one effect of it")
@@ -43,7 +41,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     return output.Outcome([shown], json={"effects": [_to_dict(effect) for effect in effects]})
 
 
-def _to_dict(effect: Effect) -> dict[str, Any]:
+def _to_dict(effect: lieid.Effect) -> dict[str, Any]:
     """Return an effect as JSON content."""
     return {
         "name": effect.label,

@@ -6,14 +6,13 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
     from lieid_casadi.excitation.limits import Limit
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.model import Model
 
 INTERRUPTED = 130  # with a trajectory kept
 
@@ -43,15 +42,13 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --max-iterations N: int  largest number of iterations of one start; default: no
         limit
     """
-    from lieid_casadi.excitation import excite
-
     folder = Path(args.output)
     arm, robot = inputs.arm_of(args)
     limits = inputs.limits_of(args, robot)
     if args.friction_sweep:
         return _sweep(args, arm, limits, folder)
     with output.progress("excite") as report:
-        excitation = excite(
+        excitation = lieid.excite(
             arm,
             criterion=args.criterion, inertial_only=args.inertial_only,
             limits=limits, start_pose=args.start_pose or None,
@@ -81,7 +78,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
 
 def _sweep(
-    args: argparse.Namespace, arm: Model | Fit, limits: list[Limit], folder: Path
+    args: argparse.Namespace, arm: lieid.Model | lieid.Fit, limits: list[Limit], folder: Path
 ) -> output.Outcome:
     """Design runs of single joints at constant speeds."""
     from lieid_casadi.excitation import friction_sweep

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import output
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
@@ -23,17 +24,14 @@ def run(args: argparse.Namespace) -> output.Outcome:
         written, such as the export of the other arm of a robot; default: the robot's own
     @EFFECTS_FILE
     """
-    from lieid_casadi.exporters.export import export
-    from lieid_casadi.identification import Fit
-
     for name, given, what in (
         (f"--prefix {args.prefix}:", args.prefix is not None, "a prefix applies"),
         ("--payload", args.payload, "applies"),
     ):
         if given and args.to != "c":
             raise UsageError(f"{name} {what} to C code; expected --to c")
-    made = export(
-        Fit.load(args.fit),
+    made = lieid.export(
+        lieid.Fit.load(args.fit),
         args.output,
         to=args.to,
         prefix=args.prefix,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 
@@ -19,13 +20,12 @@ def run(args: argparse.Namespace) -> output.Outcome:
     -o/--output fit2.json: output  write the new fit
     @RECORDING @JSON @HTML
     """
-    from lieid_casadi.diagnosis.extend import extend
     from lieid_casadi.report.reports import extension_report, extension_tables
 
     fit, train = inputs.fit_and_recordings(args, args.train)
     test = inputs.recordings_of(args.test, args, fit)
     with output.progress("extend") as report:
-        extension = extend(fit, args.add, train, test or None, progress=report)
+        extension = lieid.extend(fit, args.add, train, test or None, progress=report)
     return output.Outcome(
         (*extension_tables(extension), *extension.after.warnings),
         fit=extension.after,

@@ -16,10 +16,10 @@ from lieid_casadi.cli import output
 from lieid_casadi.cli.check import WRONG
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
+from lieid_casadi.tables import Table
 
 if TYPE_CHECKING:
     from lieid_casadi.fleet.run import FleetRun
-    from lieid_casadi.tables import Table
 
 NEW_ALARM, SILENT, BOTH = 5, 6, 7  # exit status with --exit-code
 MOST_SHOWN = 10  # faults and silent arms that are printed; the history has all

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
-
-if TYPE_CHECKING:
-    from lieid_casadi.friction_curves import FrictionFit
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.robot import Robot
 
 
 @command("friction", "friction of one joint from its motion in both directions")
@@ -32,7 +28,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     from lieid_casadi.friction_curves import fit_friction, friction_curve
     from lieid_casadi.friction_curves.curve import curve_table
     from lieid_casadi.friction_curves.friction_fit import parameter_table
-    from lieid_casadi.recording import Processing
 
     robot = inputs.robot_of(args)
     if not 1 <= args.joint <= robot.n:
@@ -42,7 +37,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
         whole or robot,
         inputs.recordings_of(args.recordings, args, robot),
         args.joint - 1,
-        processing=Processing(cutoff=args.cutoff),
+        processing=lieid.Processing(cutoff=args.cutoff),
     )
     fit = fit_friction(curve, args.effects)
     return output.Outcome(
@@ -51,18 +46,16 @@ def run(args: argparse.Namespace) -> output.Outcome:
     )
 
 
-def content(fit: FrictionFit) -> dict[str, Any]:
+def content(fit: lieid.FrictionFit) -> dict[str, Any]:
     """Return the JSON of ``lieid friction``."""
     curve, own = fit.curve.to_dict(), fit.to_dict()
     warnings = [*curve.pop("warnings"), *own.pop("warnings")]
     return {"joint": curve["joint"], "curve": curve, "fit": own, "warnings": warnings}
 
 
-def _whole(path: str, robot: Robot) -> Fit:
+def _whole(path: str, robot: lieid.Robot) -> lieid.Fit:
     """Return a fit of the whole arm."""
-    from lieid_casadi.identification import Fit
-
-    fit = Fit.load(path)
+    fit = lieid.Fit.load(path)
     if fit.model.n != robot.n:
         raise UsageError(f"{path}: a fit of {fit.model.n} joints; {robot.name} has {robot.n}")
     return fit

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import LieidWarning
-
-if TYPE_CHECKING:
-    from lieid_casadi.gains import DriveGains
-    from lieid_casadi.tables import Table
+from lieid_casadi.tables import Table
 
 
 @command("gains", "drive gains in N·m/A, from currents and a payload of known mass")
@@ -24,23 +21,21 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --mass KG: above required  mass of the payload
     @EFFECTS @EFFECTS_FILE @READING @PROCESSING @JSON @THREADS
     """
-    from lieid_casadi.gains import drive_gains
-
     robot = inputs.model_of(args).robot
     with output.progress("gains") as report:
-        gains = drive_gains(
+        gains = lieid.drive_gains(
             robot,
             inputs.currents_of(args.unloaded, args, robot),
             inputs.currents_of(args.loaded, args, robot),
             mass=args.mass,
             effects=args.effects,
-            processing=inputs.processing_of(args),
+            processing=lieid.Processing(cutoff=args.cutoff),
             progress=report,
         )
     return output.Outcome(shown(gains), json=gains.to_dict())
 
 
-def shown(gains: DriveGains) -> tuple[str | Table | LieidWarning, ...]:
+def shown(gains: lieid.DriveGains) -> tuple[str | Table | LieidWarning, ...]:
     """Return the gains, those not identified, and the option for other commands."""
     from lieid_casadi.gains.identify import gain_table
 

@@ -5,18 +5,14 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import LieidWarning, UsageError
 from lieid_casadi.tables import Table, figures, make_table
-
-if TYPE_CHECKING:
-    from lieid_casadi.comparison import Comparison
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.recording import Recording
 
 
 @command("identify", "fit a model to recordings")
@@ -36,8 +32,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
         (--stiffness unknown)
     @PROCESSING @DESPITE_CHECK @JSON @HTML
     """
-    from lieid_casadi.comparison import compare
-    from lieid_casadi.identification import identify
     from lieid_casadi.identification.known_mass import (
         identify_each_stiffness,
         identify_with_known_masses,
@@ -49,7 +43,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     test = inputs.recordings_of(args.test, args, robot)
     premises = premises_of(args, robot, train, test)
     model = inputs.model_for(args, robot, train)
-    options = {"method": args.method, "processing": inputs.processing_of(args)}
+    options = {"method": args.method, "processing": lieid.Processing(cutoff=args.cutoff)}
     with output.progress("identify") as report:
         if args.known_mass:
             masses = dict(args.known_mass)
@@ -57,14 +51,14 @@ def run(args: argparse.Namespace) -> output.Outcome:
         elif args.stiffness == "each":
             fit = identify_each_stiffness(model, train, **options, progress=report)
         else:
-            fit = identify(model, train, **options, progress=report)
+            fit = lieid.identify(model, train, **options, progress=report)
     if (laws := fit.model.robot.drives) and laws != robot.drives:  # stiffnesses were found
         test = [recording.with_drives(laws) for recording in test]
     polished = []
     if args.polish:
         fit, sentence = _polished(fit, train)
         polished = [sentence]
-    comparison = compare(fit, test) if test else None
+    comparison = lieid.compare(fit, test) if test else None
     return output.Outcome(
         [*shown(fit, comparison), *polished],
         fit=fit,
@@ -73,7 +67,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     )
 
 
-def _polished(fit: Fit, train: Sequence[Recording]) -> tuple[Fit, str]:
+def _polished(fit: lieid.Fit, train: Sequence[lieid.Recording]) -> tuple[lieid.Fit, str]:
     """Refine a fit on the motion that it predicts; return it, and what that has changed."""
     import numpy as np
 
@@ -93,7 +87,7 @@ def _polished(fit: Fit, train: Sequence[Recording]) -> tuple[Fit, str]:
     )
 
 
-def content(fit: Fit, comparison: Comparison | None) -> dict[str, Any]:
+def content(fit: lieid.Fit, comparison: lieid.Comparison | None) -> dict[str, Any]:
     """Return the JSON of ``lieid identify``."""
     found = fit.to_dict()
     tested = {} if comparison is None else comparison.to_dict()
@@ -113,7 +107,9 @@ def content(fit: Fit, comparison: Comparison | None) -> dict[str, Any]:
     return found
 
 
-def shown(fit: Fit, comparison: Comparison | None) -> Iterator[str | Table | LieidWarning]:
+def shown(
+    fit: lieid.Fit, comparison: lieid.Comparison | None
+) -> Iterator[str | Table | LieidWarning]:
     """Yield errors per joint, parameters and warnings."""
     from lieid_casadi.identification.fit import parameter_table
 

@@ -10,17 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import output
 from lieid_casadi.cli.options import given
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
     from lieid_casadi.excitation.limits import Limit
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.model import Model
     from lieid_casadi.premises import Correction
-    from lieid_casadi.recording import Processing, Recording
-    from lieid_casadi.robot import Drive, Robot
 
 Value = TypeVar("Value")
 
@@ -62,47 +59,40 @@ def is_fit(args: argparse.Namespace) -> bool:
     return Path(args.robot).suffix.lower() == ".json"
 
 
-def robot_of(args: argparse.Namespace) -> Robot:
+def robot_of(args: argparse.Namespace) -> lieid.Robot:
     """Return the robot that ROBOT, --tip and --lock name, with the drive laws of the options.
 
     A fit in place of ROBOT gives the robot that it contains.
     """
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.robot import Robot
-
     if is_fit(args):
-        robot = Fit.load(args.robot).model.robot
+        robot = lieid.Fit.load(args.robot).model.robot
     else:
-        robot = Robot.load(args.robot, tip=args.tip, lock=args.lock)
+        robot = lieid.Robot.load(args.robot, tip=args.tip, lock=args.lock)
     robot = correction_of(args, robot.n).of_robot(robot)
     drives = drives_of(args, robot)
     return _limited(args, robot if drives is None else robot.with_drives(drives))
 
 
-def _limited(args: argparse.Namespace, robot: Robot) -> Robot:
+def _limited(args: argparse.Namespace, robot: lieid.Robot) -> lieid.Robot:
     """Return the robot with the velocity limits of --velocity, of commands that have it."""
     velocity = getattr(args, "velocity", None)
     return robot.with_velocity_limits(velocity) if velocity else robot
 
 
-def fit_of(args: argparse.Namespace, path: str) -> Fit:
+def fit_of(args: argparse.Namespace, path: str) -> lieid.Fit:
     """Return a fit, whose robot has the velocity limits of --velocity."""
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.model import Model
-
-    fit = Fit.load(path)
+    fit = lieid.Fit.load(path)
     own = fit.model
     if (robot := _limited(args, own.robot)) is own.robot:
         return fit
-    limited = Model.of_placements(robot, own.placements, library=own.library)
+    limited = lieid.Model.of_placements(robot, own.placements, library=own.library)
     return replace(fit, model=limited)
 
 
 def correction_of(
-    args: argparse.Namespace, n: int, source: Robot | Fit | None = None
+    args: argparse.Namespace, n: int, source: lieid.Robot | lieid.Fit | None = None
 ) -> Correction:
     """Return what the options correct; without any, what a fit's recordings were corrected by."""
-    from lieid_casadi.identification import Fit
     from lieid_casadi.premises.correction import OPTIONS, correction_of
 
     texts = []
@@ -111,30 +101,29 @@ def correction_of(
         if value:
             values = [] if value is True else [value] if isinstance(value, str) else value
             texts.append(" ".join([name, *values]))
-    if isinstance(source, Fit):
+    if isinstance(source, lieid.Fit):
         if getattr(args, "base_rpy", None) and not getattr(args, "train", None):
             raise UsageError("--base-rpy: the mounting is that of the fit; expected a ROBOT")
         texts = texts or list(source.provenance.corrections)
     return correction_of(texts, n)
 
 
-def model_of(args: argparse.Namespace) -> Model:
+def model_of(args: argparse.Namespace) -> lieid.Model:
     """Return the model of the robot with --effects."""
-    from lieid_casadi.model import Model
-
-    return Model(robot_of(args), args.effects)
+    return lieid.Model(robot_of(args), args.effects)
 
 
-def model_for(args: argparse.Namespace, robot: Robot, recordings: Sequence[Recording]) -> Model:
+def model_for(
+    args: argparse.Namespace, robot: lieid.Robot, recordings: Sequence[lieid.Recording]
+) -> lieid.Model:
     """Return the model with --effects, or with the default effects for the recordings' torque.
 
     Rotor inertia among the default effects is reported.
     """
     from lieid_casadi.identification.identify import default_effects
-    from lieid_casadi.model import Model
 
     if args.effects is not None:
-        return Model(robot, args.effects)
+        return lieid.Model(robot, args.effects)
     default = default_effects(robot, recordings, motor_side=args.motor_side)
     if default.reason:
         delayed = " with the delay of the commands" if "command_delay" in default.names else ""
@@ -142,35 +131,36 @@ def model_for(args: argparse.Namespace, robot: Robot, recordings: Sequence[Recor
             f"Effects: {', '.join(default.names)}. Rotor inertia (armature){delayed} is among them "
             f"because {default.reason}; --effects states others."
         )
-    return Model(robot, default.names)
+    return lieid.Model(robot, default.names)
 
 
 def fit_and_recordings(
     args: argparse.Namespace, paths: Sequence[str] | None = None
-) -> tuple[Fit, list[Recording]]:
+) -> tuple[lieid.Fit, list[lieid.Recording]]:
     """Return FIT and the recordings REC…, or those of other paths."""
-    from lieid_casadi.identification import Fit
-
-    fit = Fit.load(args.fit)
+    fit = lieid.Fit.load(args.fit)
     return fit, recordings_of(args.recordings if paths is None else paths, args, fit)
 
 
 def recordings_of(
-    paths: Sequence[str], args: argparse.Namespace, source: Robot | Fit, *, any_unit: bool = False
-) -> list[Recording]:
+    paths: Sequence[str],
+    args: argparse.Namespace,
+    source: lieid.Robot | lieid.Fit,
+    *,
+    any_unit: bool = False,
+) -> list[lieid.Recording]:
     """Load recordings; other units than SI are refused unless ``any_unit``.
 
     Currents become torques by --torque-constants, the constants of a fit, or the robot's own.
     Without --units and --columns, those of a fit's training recordings are used.
     """
-    from lieid_casadi.identification import Fit
     from lieid_casadi.premises.correction import load_by_columns
     from lieid_casadi.recording import require_plausible_units
 
-    robot = source.model.robot if isinstance(source, Fit) else source
+    robot = source.model.robot if isinstance(source, lieid.Fit) else source
     options = _reading_options(args, robot) | _torque_options(args, robot)
     columns: tuple[str, ...] = ()
-    if isinstance(source, Fit):
+    if isinstance(source, lieid.Fit):
         options |= _as_in_training(args, source)
         columns = () if args.columns else source.provenance.columns
     correction = correction_of(args, robot.n, source)
@@ -183,26 +173,17 @@ def recordings_of(
     return recordings
 
 
-def currents_of(paths: Sequence[str], args: argparse.Namespace, robot: Robot) -> list[Recording]:
+def currents_of(
+    paths: Sequence[str], args: argparse.Namespace, robot: lieid.Robot
+) -> list[lieid.Recording]:
     """Load recordings whose currents stay currents."""
-    from lieid_casadi.recording import Recording
-
     correction = correction_of(args, robot.n)
     options = _reading_options(args, robot)
-    return [correction.of_recording(Recording.load(path, **options)) for path in paths]
+    return [correction.of_recording(lieid.Recording.load(path, **options)) for path in paths]
 
 
-def processing_of(args: argparse.Namespace) -> Processing:
-    """Return the filter options."""
-    from lieid_casadi.recording import Processing
-
-    return Processing(cutoff=args.cutoff)
-
-
-def drives_of(args: argparse.Namespace, robot: Robot) -> tuple[Drive, ...] | None:
+def drives_of(args: argparse.Namespace, robot: lieid.Robot) -> tuple[lieid.Drive, ...] | None:
     """Return the control laws that the options state, else those of the robot."""
-    from lieid_casadi.robot import Drive, servo_drive
-
     stiffness, damping, servo = (getattr(args, x, None) for x in ("stiffness", "damping", "servo"))
     if stiffness is None and servo is None:
         if damping is not None:
@@ -214,18 +195,20 @@ def drives_of(args: argparse.Namespace, robot: Robot) -> tuple[Drive, ...] | Non
             raise UsageError("--servo: states the stiffness itself; expected one of them")
         names = _per_joint("--servo", servo.split(","), robot.n, "names")
         pairs = zip(names, gains, strict=True)
-        return robot.with_drives([servo_drive(x.strip(), derivative=d) for x, d in pairs]).drives
+        return robot.with_drives(
+            [lieid.servo_drive(x.strip(), derivative=d) for x, d in pairs]
+        ).drives
     if stiffness == "each" and not hasattr(args, "known_mass"):
         raise UsageError(
             "--stiffness each: is for lieid identify, whose fit contains the stiffnesses found; "
             "expected numbers, or unknown"
         )
     if stiffness in ("unknown", "each"):
-        laws = [Drive(stiffness=1.0, damping=d, relative=True) for d in gains]
+        laws = [lieid.Drive(stiffness=1.0, damping=d, relative=True) for d in gains]
     else:
         kind = "above 0, or unknown"
         values = _numbers("--stiffness", str(stiffness), robot.n, kind, lambda k: k > 0.0)
-        laws = [Drive(stiffness=k, damping=d) for k, d in zip(values, gains, strict=True)]
+        laws = [lieid.Drive(stiffness=k, damping=d) for k, d in zip(values, gains, strict=True)]
     return robot.with_drives(laws).drives
 
 
@@ -249,7 +232,7 @@ def _per_joint(option: str, values: list[Value], n: int, what: str) -> list[Valu
     return values * n if len(values) == 1 else values
 
 
-def _torque_options(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
+def _torque_options(args: argparse.Namespace, robot: lieid.Robot) -> dict[str, Any]:
     """Return the arguments of `Recording.load` that state the source of torque."""
     constants = None
     if args.torque_constants is not None:
@@ -263,7 +246,7 @@ def _torque_options(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
     return {"torque_constants": constants, "drives": drives_of(args, robot)}
 
 
-def _as_in_training(args: argparse.Namespace, fit: Fit) -> dict[str, Any]:
+def _as_in_training(args: argparse.Namespace, fit: lieid.Fit) -> dict[str, Any]:
     """Return the arguments of `Recording.load` with which a fit's recordings were read."""
     used, options = fit.provenance, dict[str, Any]()
     if args.torque_constants is None and used.torque_constants is not None:
@@ -273,7 +256,7 @@ def _as_in_training(args: argparse.Namespace, fit: Fit) -> dict[str, Any]:
     return options
 
 
-def _reading_options(args: argparse.Namespace, robot: Robot) -> dict[str, Any]:
+def _reading_options(args: argparse.Namespace, robot: lieid.Robot) -> dict[str, Any]:
     """Return the arguments of `Recording.load` that do not concern torque."""
     import numpy as np
 
@@ -301,7 +284,7 @@ def _episodes(text: str) -> tuple[int, int | None]:
     return int(first or 0), int(end) if end else None
 
 
-def _require_drive_law(recording: Recording) -> None:
+def _require_drive_law(recording: lieid.Recording) -> None:
     """Refuse a recording of commanded positions without a drive law."""
     if recording.tau is None and recording.command is not None:
         raise UsageError(
@@ -311,17 +294,9 @@ def _require_drive_law(recording: Recording) -> None:
         )
 
 
-def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
+def limits_of(args: argparse.Namespace, robot: lieid.Robot) -> list[Limit]:
     """Return the default limits with the changes that the options specify."""
-    from lieid_casadi.excitation import (
-        Obstacle,
-        Torque,
-        Wall,
-        capsules_of,
-        default_limits,
-        load_capsules,
-        workspace_box,
-    )
+    from lieid_casadi.excitation import capsules_of, load_capsules
 
     workspace = not args.unchecked_workspace
     links: Any = ()
@@ -329,7 +304,7 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
         links = load_capsules(args.capsules, robot)
     elif workspace or args.wall or args.workspace_box or args.obstacle:
         links = capsules_of(robot)
-    defaults = default_limits(
+    defaults = lieid.default_limits(
         robot,
         margin=args.margin,
         capsules=links,
@@ -337,15 +312,15 @@ def limits_of(args: argparse.Namespace, robot: Robot) -> list[Limit]:
         cartesian_speed=args.cartesian_speed if workspace else None,
         clearance=args.self_collision if workspace else None,
     )
-    limits = [x for x in defaults if not (args.no_torque and isinstance(x, Torque))]
-    limits += [Wall((x, y, z), d, capsules=links) for x, y, z, d in args.wall]
+    limits = [x for x in defaults if not (args.no_torque and isinstance(x, lieid.Torque))]
+    limits += [lieid.Wall((x, y, z), d, capsules=links) for x, y, z, d in args.wall]
     for corners in args.workspace_box:
-        limits += workspace_box(corners[:3], corners[3:], capsules=links)
-    limits += [Obstacle(tuple(c[:3]), tuple(c[3:]), capsules=links) for c in args.obstacle]
+        limits += lieid.workspace_box(corners[:3], corners[3:], capsules=links)
+    limits += [lieid.Obstacle(tuple(c[:3]), tuple(c[3:]), capsules=links) for c in args.obstacle]
     return limits
 
 
-def arm_of(args: argparse.Namespace) -> tuple[Model | Fit, Robot]:
+def arm_of(args: argparse.Namespace) -> tuple[lieid.Model | lieid.Fit, lieid.Robot]:
     """Return the fit that ROBOT|FIT names, or the model of a robot with --effects; its robot."""
     if not is_fit(args):
         model = model_of(args)

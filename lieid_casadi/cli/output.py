@@ -12,14 +12,14 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+import lieid_casadi as lieid
 from lieid_casadi.errors import LieidWarning
+from lieid_casadi.tables import Table
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from lieid_casadi.arrays import Array
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.tables import Table
 
 SCHEMA = 1  # of results as JSON
 WIDTH = 120  # of tables that do not go to a terminal
@@ -122,7 +122,7 @@ class Outcome:
     shown: Sequence[str | Table | LieidWarning] = ()
     json: Mapping[str, Any] | None = None
     html: Callable[[], str] | None = None
-    fit: Fit | None = None
+    fit: lieid.Fit | None = None
     files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)  # of other options
     folder: Callable[[], object] | None = None  # writes the folder of -o, before the files
     status: int = 0

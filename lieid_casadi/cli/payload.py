@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
 from lieid_casadi.cli.options import command
@@ -18,14 +19,13 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --cutoff HZ: number  cut-off frequency of the low-pass filter; default: that of the fit
     @RECORDING @DESPITE_CHECK @JSON @HTML
     """
-    from lieid_casadi.payload import identify_payload
     from lieid_casadi.payload.estimate import error_table, not_identified, quantity_table
     from lieid_casadi.report import payload_report
 
     fit, recordings = inputs.fit_and_recordings(args)
     premises = premises_of(args, fit, recordings, loaded=True)
     with output.progress("payload") as report:
-        payload = identify_payload(fit, recordings, cutoff=args.cutoff, progress=report)
+        payload = lieid.identify_payload(fit, recordings, cutoff=args.cutoff, progress=report)
     unknown = not_identified(payload)
     return output.Outcome(
         (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.tables import Table, make_table
@@ -29,10 +30,9 @@ def run(args: argparse.Namespace) -> output.Outcome:
     @RECORDING @JSON
     """
     from lieid_casadi.exporters.export import export_samples
-    from lieid_casadi.identification import Fit
     from lieid_casadi.identification.ensemble import ensemble_coverage, model_weights
 
-    fit, *rivals = fits = [Fit.load(path) for path in (args.fit, *args.rival)]
+    fit, *rivals = fits = [lieid.Fit.load(path) for path in (args.fit, *args.rival)]
     test = inputs.recordings_of(args.test, args, fit)
     weights = args.weights or None
     if test and rivals and weights is None:

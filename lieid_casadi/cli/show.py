@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import warning_list
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.tables import Table, make_table, std_text, value_text
-
-if TYPE_CHECKING:
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.robot import Robot
 
 
 @command("show", "joints, screws, limits, base parameters, values of a fit")
@@ -27,16 +24,16 @@ def run(args: argparse.Namespace) -> output.Outcome:
     @JSON
     """
     from lieid_casadi.dynamics.symbolic_lengths import symbolic_base
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.model import Model
 
-    fit = Fit.load(args.robot) if inputs.is_fit(args) and not args.effects else None
+    fit = lieid.Fit.load(args.robot) if inputs.is_fit(args) and not args.effects else None
     model = inputs.model_of(args) if fit is None else fit.model
     robot = model.robot
     joints = _joints(robot)
     base, lengths = model.base, list[dict[str, Any]]()
     if args.symbolic:
-        base, found = symbolic_base(robot, lambda r: Model.of_placements(r, model.placements).base)
+        base, found = symbolic_base(
+            robot, lambda r: lieid.Model.of_placements(r, model.placements).base
+        )
         lengths = [
             {"name": x.name, "value": float(f"{x.value:.9g}"), "meaning": x.meaning} for x in found
         ]
@@ -80,7 +77,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     return output.Outcome((*shown, *notes, *robot.warnings), json=content)
 
 
-def _joints(robot: Robot) -> list[dict[str, Any]]:
+def _joints(robot: lieid.Robot) -> list[dict[str, Any]]:
     return [
         {
             "name": joint.name,
@@ -100,7 +97,7 @@ def _joints(robot: Robot) -> list[dict[str, Any]]:
     ]
 
 
-def _joint_table(robot: Robot, joints: list[dict[str, Any]]) -> Table:
+def _joint_table(robot: lieid.Robot, joints: list[dict[str, Any]]) -> Table:
     rows = []
     for i, joint in enumerate(joints, start=1):
         screw = " ".join(f"{round(x, 9) + 0.0:.4g}" for x in joint["screw"])
@@ -124,7 +121,7 @@ def _joint_table(robot: Robot, joints: list[dict[str, Any]]) -> Table:
     )
 
 
-def _value_table(fit: Fit) -> Table:
+def _value_table(fit: lieid.Fit) -> Table:
     """Return the identified values, those of effects after those of links."""
     effects = ", ".join(fit.model.effects) or "no effects"
     return make_table(

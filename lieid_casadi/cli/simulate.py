@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.options import command
 
@@ -25,7 +26,6 @@ def run(args: argparse.Namespace) -> output.Outcome:
     """
     from dataclasses import replace
 
-    from lieid_casadi.simulation import simulate
     from lieid_casadi.simulation.simulate import drift_table
 
     fit, recordings = inputs.fit_and_recordings(args)
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
         model = type(fit.model).of_placements(robot, fit.model.placements)
         fit = replace(fit, model=model)
     with output.progress("simulate") as report:
-        simulation = simulate(
+        simulation = lieid.simulate(
             fit, recordings, window=args.window, under=args.under, progress=report
         )
     motion = {"q": simulation.q, "dq": simulation.dq}

@@ -6,14 +6,12 @@ import argparse
 import functools
 from typing import TYPE_CHECKING, NoReturn
 
+import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, options, output
 from lieid_casadi.cli.options import command
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
-    from lieid_casadi.identification import Fit
-    from lieid_casadi.recording import Recording
-    from lieid_casadi.robot import Robot
     from lieid_casadi.workbench.session import Options, WorkbenchInputs
 
 
@@ -59,7 +57,6 @@ KEPT_OPTIONS = "@TIP_AND_LOCK @RECORDING"
 def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
     """Return what the command line opens."""
     from lieid_casadi.demo import DEMO_ROBOT
-    from lieid_casadi.model import Model
     from lieid_casadi.workbench.session import RecordingInput, WorkbenchInputs
 
     if not args.robot:
@@ -77,7 +74,7 @@ def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
         last = max(len(args.recordings) - 1, 1)
         train, test = list(args.recordings[:last]), list(args.recordings[last:])
     robot = inputs.robot_of(args)
-    effects = tuple(p.label for p in Model(robot, args.effects).placements)
+    effects = tuple(p.label for p in lieid.Model(robot, args.effects).placements)
     return WorkbenchInputs(
         robot="" if is_fit else str(args.robot),
         fit=str(args.robot) if is_fit else "",
@@ -92,9 +89,7 @@ def inputs_of(args: argparse.Namespace) -> WorkbenchInputs:
 
 def check_recordings(args: argparse.Namespace, opened: WorkbenchInputs) -> None:
     """Read the recordings, so that an error in one of them ends the command in one line."""
-    from lieid_casadi.identification import Fit
-
-    source = Fit.load(opened.fit) if opened.fit else inputs.robot_of(args)
+    source = lieid.Fit.load(opened.fit) if opened.fit else inputs.robot_of(args)
     for recording in opened.recordings:
         inputs.recordings_of([recording.path], args, source)
 
@@ -122,12 +117,14 @@ def stated_options(args: argparse.Namespace) -> Options:
     return tuple(found)
 
 
-def load_robot(opened: WorkbenchInputs) -> Robot:
+def load_robot(opened: WorkbenchInputs) -> lieid.Robot:
     """Return the robot of a page's inputs."""
     return inputs.robot_of(_arguments(opened))
 
 
-def read_recordings(opened: WorkbenchInputs, source: Robot | Fit) -> list[Recording]:
+def read_recordings(
+    opened: WorkbenchInputs, source: lieid.Robot | lieid.Fit
+) -> list[lieid.Recording]:
     """Load the recordings of a page's inputs."""
     return inputs.recordings_of([r.path for r in opened.recordings], _arguments(opened), source)
 
