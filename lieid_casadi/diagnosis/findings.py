@@ -69,7 +69,8 @@ def _statement(steps: Sequence[Step], mode: str) -> str:
         return f"{subject} {first.effect} on {_joints(steps)}"
     text = texts[0] if _positive(first) else texts[-1]
     source = first.joints[1] + 1 if len(first.joints) == 2 else ""
-    return text.format(joints=_joints(steps), source=source)
+    increased = "increased" if _positive(first) else "decreased"
+    return text.format(joints=_joints(steps), source=source, increased=increased)
 
 
 def _signal_text(name: str) -> str:

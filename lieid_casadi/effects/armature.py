@@ -2,14 +2,7 @@
 
 from typing import ClassVar
 
-from lieid_casadi.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    ShapeSymbols,
-    Signals,
-    increased_or_decreased,
-)
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
 
@@ -19,7 +12,7 @@ class Armature(Effect):
 
     name = "armature"
     finding: ClassVar = ("Rotor inertia acts on {joints}",)
-    change: ClassVar = increased_or_decreased("Rotor inertia on {joints}")
+    change: ClassVar = ("Rotor inertia on {joints} has {increased}",)
     formula = "I_a·q̈"
     coefficients = (
         Coefficient(

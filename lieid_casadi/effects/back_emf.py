@@ -2,14 +2,7 @@
 
 from typing import ClassVar
 
-from lieid_casadi.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    ShapeSymbols,
-    Signals,
-    increased_or_decreased,
-)
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
 
@@ -23,7 +16,7 @@ class BackEmf(Effect):
 
     name = "back_emf"
     finding: ClassVar = ("The back-EMF of {joints} is not part of the drive law",)
-    change: ClassVar = increased_or_decreased("The back-EMF of {joints}")
+    change: ClassVar = ("The back-EMF of {joints} has {increased}",)
     formula = "k·q̇, k = k_t·k_e/R"
     coefficients = (
         Coefficient("k", "N·m·s/rad", lower=0.0, meaning="torque per speed lost to back-EMF"),

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
-from lieid_casadi.effects.effect import Coefficient, Shape, increased_or_decreased
+from lieid_casadi.effects.effect import Coefficient, Shape
 from lieid_casadi.effects.registry import register
 
 LEAST = 1e-3  # rad, smallest play of the difference quotient
@@ -26,7 +26,7 @@ class Backlash(ArmEffect):
 
     name = "backlash"
     finding: ClassVar = ("The transmission of {joints} has play",)
-    change: ClassVar = increased_or_decreased("The play of {joints}")
+    change: ClassVar = ("The play of {joints} has {increased}",)
     formula = "q_link = q − g; g = b/2·sgn(τ_load), after a change of sign M_ii·g̈ = τ_load"
     coefficients = (Coefficient("b", "rad", lower=0.0, limit=0.3, meaning="play of the gear"),)
     shapes = (
@@ -66,10 +66,7 @@ def motor_in_play(arm: SegmentModel, joint: int, play: float) -> Array:
 
 
 def place_in_play(acceleration: Array, t: Array, play: float) -> Array:
-    """Return the position (K,) of a motor relative to its link, rad, in −play/2 … play/2.
-
-    ``acceleration`` (K,) is that of the motor relative to the link while this flies freely.
-    """
+    """Return the position (K,) of a motor relative to its link, rad, in −play/2 … play/2."""
     half, count = 0.5 * play, len(t)
     steps = np.diff(t)
     speed = np.concatenate([[0.0], np.cumsum(0.5 * steps * (acceleration[1:] + acceleration[:-1]))])

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
-from lieid_casadi.effects.effect import Coefficient, increased_or_decreased
+from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
 from lieid_casadi.robot.drive import Drive
 
@@ -54,7 +54,7 @@ class CommandDelay(ArmEffect):
 
     name = "command_delay"
     finding: ClassVar = ("The commands of {joints} act late",)
-    change: ClassVar = increased_or_decreased("The delay of the commands of {joints}")
+    change: ClassVar = ("The delay of the commands of {joints} has {increased}",)
     formula = "law(q_cmd(t) − q) − law(q_cmd(t − δ) − q)"
     coefficients = (
         Coefficient(

@@ -2,14 +2,7 @@
 
 from typing import ClassVar
 
-from lieid_casadi.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    ShapeSymbols,
-    Signals,
-    increased_or_decreased,
-)
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
 
@@ -22,7 +15,7 @@ class Coulomb(Effect):
 
     name = "coulomb"
     finding: ClassVar = ("Dry friction acts on {joints}",)
-    change: ClassVar = increased_or_decreased("Dry friction on {joints}")
+    change: ClassVar = ("Dry friction on {joints} has {increased}",)
     formula = "f_c·sgn(q̇)"
     coefficients = (
         Coefficient("f_c", "N·m", meaning="dry friction in sliding", opposes_motion=True),

@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
-from lieid_casadi.effects.effect import Coefficient, increased_or_decreased
+from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
 
 LEAST = 1e-5  # rad; below it the column is its limit, the sign of the error
@@ -21,7 +21,7 @@ class Deadband(ArmEffect):
 
     name = "deadband"
     finding: ClassVar = ("The controller of {joints} does not react to small errors",)
-    change: ClassVar = increased_or_decreased("The dead band of {joints}")
+    change: ClassVar = ("The dead band of {joints} has {increased}",)
     formula = "K·clip(q_cmd − q, ±d)"
     coefficients = (Coefficient("d", "rad", lower=0.0, meaning="half width of the dead band"),)
     commanded = True

@@ -45,12 +45,12 @@ class Signals:
         °C, relative to the mean of the training recordings.
     time
         s since the start of the segment.
+    command_error
+        Commanded minus measured position, rad; zero where there are no commands.
     other
         Signals of the joint that acts on this one, for couplings.
     state
         The effect's own states at this sample, by name.
-    command_error
-        Commanded minus measured position, rad; zero where there are no commands.
     every
         The signals of all joints, for `joint`.
     """
@@ -62,9 +62,9 @@ class Signals:
     load: ca.SX
     temperature: ca.SX
     time: ca.SX
+    command_error: ca.SX = field(default_factory=lambda: ca.SX(0))
     other: Signals | None = None
     state: Mapping[str, ca.SX] = field(default_factory=dict)
-    command_error: ca.SX = field(default_factory=lambda: ca.SX(0))
     every: SignalsOfJoints | None = None
 
     def joint(self, number: int) -> Signals:
@@ -74,36 +74,18 @@ class Signals:
 
 
 @dataclass(frozen=True)
-class EffectSignals:
-    """The signals of all joints (n,), of which `of` selects those of one.
-
-    ``command_error`` is None where there are no commands.
-    """
-
-    q: ca.SX
-    dq: ca.SX
-    ddq: ca.SX
-    sign: ca.SX
-    load: ca.SX
-    temperature: ca.SX
-    time: ca.SX
-    command_error: ca.SX | None = None
+class EffectSignals(Signals):
+    """The signals of all joints (n,), of which `of` selects those of one."""
 
     def of(
         self, joint: int, source: int | None = None, state: ShapeSymbols | None = None
     ) -> Signals:
         """Return the signals of a joint (from 0), with those of the ``source`` of a coupling."""
+        signals = {name: x for name, x in vars(self).items() if isinstance(x, ca.SX)}
         return Signals(
-            q=self.q[joint],
-            dq=self.dq[joint],
-            ddq=self.ddq[joint],
-            sign=self.sign[joint],
-            load=self.load[joint],
-            temperature=self.temperature[joint],
-            time=self.time,
+            **{name: x if x.is_scalar() else x[joint] for name, x in signals.items()},
             other=None if source is None else self.of(source),
             state=state or {},
-            command_error=ca.SX(0) if self.command_error is None else self.command_error[joint],
             every=self,
         )
 
@@ -149,15 +131,11 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class DataRange:
-    """Where the training recordings give a shape parameter, in place of a fit.
+    """Where the training recordings give a shape parameter, in place of a fit."""
 
-    ``signal`` is a field of `Signals`, of the effect's own joint or of ``joint`` (from 0); ``end``
-    is an end of the signal's range, or the largest size.
-    """
-
-    signal: str
-    joint: int | None
-    end: str  # "low", "high" or "size"
+    signal: str  # a field of `Signals`
+    joint: int | None  # from 0; None: the effect's own
+    end: str  # of the signal's range, "low" or "high", or its largest "size"
 
 
 @dataclass(frozen=True)
@@ -267,7 +245,7 @@ class Effect(ABC):
     finding, change : tuple of str
         Sentence of a diagnosis for a missing effect, and for a change of the effect; two of them
         if it depends on the sign of the first coefficient, positive first. ``{joints}`` and
-        ``{source}`` are replaced by the joints.
+        ``{source}`` are replaced by the joints, ``{increased}`` by "increased" or "decreased".
     family : str
         What effects describe that differ in the form of a curve alone, such as ``friction over
         speed``: measurements seldom decide the form.
@@ -365,8 +343,3 @@ class Effect(ABC):
 
     def __repr__(self) -> str:
         return f"<effect {self.label}: {self.formula}>"
-
-
-def increased_or_decreased(what: str) -> tuple[str, str]:
-    """Return the two sentences of `Effect.change` for a coefficient that is a size."""
-    return f"{what} has increased", f"{what} has decreased"

@@ -4,14 +4,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    ShapeSymbols,
-    Signals,
-    increased_or_decreased,
-)
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
 
@@ -21,7 +14,7 @@ class Offset(Effect):
 
     name = "offset"
     finding: ClassVar = ("A constant torque acts on {joints}",)
-    change: ClassVar = increased_or_decreased("The constant torque on {joints}")
+    change: ClassVar = ("The constant torque on {joints} has {increased}",)
     formula = "f_b"
     coefficients = (Coefficient("f_b", "N·m", meaning="constant torque"),)
     signals = ()

@@ -4,15 +4,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from lieid_casadi.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    Shape,
-    ShapeSymbols,
-    Signals,
-    increased_or_decreased,
-)
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
 REGULARIZATION = 1e-6  # added to (q̇/v_s)²: a power below 2 has no derivative at rest otherwise
@@ -32,7 +24,7 @@ class Stribeck(Effect):
         "Friction on {joints} falls with speed from standstill",
         "Friction on {joints} rises with speed from standstill",
     )
-    change: ClassVar = increased_or_decreased("Friction on {joints} near standstill")
+    change: ClassVar = ("Friction on {joints} near standstill has {increased}",)
     options: ClassVar = {
         "exponent": "Eq. 6 with its exponent δ_s free; it is 2 otherwise",
         "two_width": (

@@ -2,14 +2,7 @@
 
 from typing import ClassVar
 
-from lieid_casadi.effects.effect import (
-    Coefficient,
-    Columns,
-    Effect,
-    ShapeSymbols,
-    Signals,
-    increased_or_decreased,
-)
+from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
 
@@ -22,7 +15,7 @@ class Viscous(Effect):
         "Friction on {joints} grows with speed",
         "Friction on {joints} falls with speed",
     )
-    change: ClassVar = increased_or_decreased("Viscous friction on {joints}")
+    change: ClassVar = ("Viscous friction on {joints} has {increased}",)
     formula = "f_v·q̇"
     coefficients = (
         Coefficient("f_v", "N·m·s/rad", meaning="friction per velocity", opposes_motion=True),

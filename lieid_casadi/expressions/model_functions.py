@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -93,8 +93,12 @@ class ModelFunctions:
     @cached_property
     def signals(self) -> EffectSignals:
         """Symbols of the effects; the sign of q̇ has a ramp over the dead zone."""
-        q, dq, ddq, *others = (self._symbols[name] for name in SIGNAL_NAMES)
-        return EffectSignals(q, dq, ddq, ramp(dq, self.dead_zone), *others)
+        return self._signals([self._symbols[name] for name in SIGNAL_NAMES])
+
+    def _signals(self, symbols: Sequence[ca.SX]) -> EffectSignals:
+        q, dq, ddq, load, temperature, time, error = symbols
+        sign = ramp(dq, self.dead_zone)
+        return EffectSignals(q, dq, ddq, sign, load, temperature, time, error)
 
     @cached_property
     def regressor(self) -> SparseFunction:
@@ -142,9 +146,7 @@ class ModelFunctions:
             ca.SX.sym(f"before_{name}", symbol.size1())
             for name, symbol in zip(SIGNAL_NAMES, symbols, strict=True)
         ]
-        q, dq, ddq, *others = past
-        before = EffectSignals(q, dq, ddq, ramp(dq, self.dead_zone), *others)
-        after = self.model.advance(before, self.signals, self.shapes, self.states)
+        after = self.model.advance(self._signals(past), self.signals, self.shapes, self.states)
         inputs = [self.states, *past, *symbols, self.shapes, self.dead_zone]
         names = ["states", *(f"before_{name}" for name in SIGNAL_NAMES), *SIGNAL_NAMES]
         names += ["shapes", "dead_zone"]

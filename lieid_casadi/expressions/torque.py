@@ -53,10 +53,7 @@ class Values:
         return cls(links, coefficients, shapes, False, temperature_mean)
 
     def with_free(self, model: Model, groups: Sequence[str]) -> Values:
-        """Return numbers of which groups are symbols, such as ``friction:3`` or ``link6``.
-
-        Raises `ModelError`: an unknown or empty group, or a parameter in two of them.
-        """
+        """Return numbers of which groups are symbols, such as ``friction:3`` or ``link6``."""
         numbers = ca.vertcat(self.parameters, self.effects, self.shapes)
         labels = [p.label for p in (*model.link_parameters, *model.columns, *model.shapes)]
         taken, free = np.full(len(labels), "", dtype=object), {}
@@ -197,7 +194,8 @@ class TorqueExpressions:
         if sign is None:
             width = smooth_velocity
             sign = ca.sign(dq) if width is None else ramp(dq, ca.SX(ca.DM(width)))
-        self._sign, self._command_error = sign, command_error
+        self._sign = sign
+        self._command_error = ca.SX(0) if command_error is None else command_error
         self._as_measured = as_measured
         _ = self.measurement_columns  # refuses effects that depend on more than one instant
 
