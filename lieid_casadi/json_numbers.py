@@ -7,13 +7,7 @@ from collections.abc import Iterable
 
 
 def number_or_none(value: float) -> float | None:
-    """Return a finite number as a float, None for NaN and infinity.
-
-    Examples
-    --------
-    >>> number_or_none(float("nan")) is None
-    True
-    """
+    """Return a finite number as a float, None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None
 
 

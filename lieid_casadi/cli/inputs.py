@@ -60,10 +60,7 @@ def is_fit(args: argparse.Namespace) -> bool:
 
 
 def robot_of(args: argparse.Namespace) -> lieid.Robot:
-    """Return the robot that ROBOT, --tip and --lock name, with the drive laws of the options.
-
-    A fit in place of ROBOT gives the robot that it contains.
-    """
+    """Return the robot that ROBOT, --tip and --lock name, with the drive laws of the options."""
     if is_fit(args):
         robot = lieid.Fit.load(args.robot).model.robot
     else:
@@ -116,10 +113,7 @@ def model_of(args: argparse.Namespace) -> lieid.Model:
 def model_for(
     args: argparse.Namespace, robot: lieid.Robot, recordings: Sequence[lieid.Recording]
 ) -> lieid.Model:
-    """Return the model with --effects, or with the default effects for the recordings' torque.
-
-    Rotor inertia among the default effects is reported.
-    """
+    """Return the model with --effects, or with the default effects for the recordings' torque."""
     from lieid_casadi.identification.identify import default_effects
 
     if args.effects is not None:

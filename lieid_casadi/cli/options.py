@@ -41,10 +41,7 @@ COMMANDS: dict[str, Command] = {}
 
 @dataclass(frozen=True)
 class Command:
-    """A command of ``lieid``: its line in the list of commands, and the function that runs it.
-
-    The function's docstring describes it; the last paragraph states its options.
-    """
+    """A command of ``lieid``: its line in the list of commands, and the function that runs it."""
 
     help: str
     run: Callable[[argparse.Namespace], Any]

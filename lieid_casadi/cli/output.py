@@ -114,15 +114,12 @@ def csv_bytes(t: Array, **signals: Array) -> bytes:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command found: its files are written, all or none, and then it is printed.
-
-    Content belongs to the option of its name, ``fit`` to -o; it is computed if the option is given.
-    """
+    """What a command found: its files are written, all or none, and then it is printed."""
 
     shown: Sequence[str | Table | LieidWarning] = ()
     json: Mapping[str, Any] | None = None
     html: Callable[[], str] | None = None
-    fit: lieid.Fit | None = None
+    fit: lieid.Fit | None = None  # of -o
     files: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)  # of other options
     folder: Callable[[], object] | None = None  # writes the folder of -o, before the files
     status: int = 0

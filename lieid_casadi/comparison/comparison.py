@@ -335,10 +335,7 @@ def _size(c: Comparison) -> str:
 
 
 def _over_noise(c: Comparison) -> NDArray[np.float64]:
-    """Return the error in motion in multiples of the noise floor (n,).
-
-    NaN for joints that do not move, without measured torque, or without a noise floor.
-    """
+    """Return the error in motion in multiples of the noise floor (n,)."""
     return np.where((c.noise_floor > 0.0) & (c.torque_rms > 0.0), c.over_noise, np.nan)
 
 

@@ -96,10 +96,7 @@ def thin(marked: NDArray[np.bool_], most: int = MOST_POINTS) -> NDArray[np.intp]
 
 
 def axis_times(recordings: Sequence[str], times: Sequence[Array]) -> tuple[list[Array], str]:
-    """Return the times of each segment, s, on one axis, and the label of the axis.
-
-    One recording keeps its own clock; several are drawn one after another with small gaps.
-    """
+    """Return the times of each segment, s, on one axis, and the label of the axis."""
     if len(set(recordings)) <= 1:
         return list(times), "time [s]"
     span = sum(float(t[-1] - t[0]) for t in times)

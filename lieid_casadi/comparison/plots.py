@@ -177,10 +177,7 @@ def _draw_samples(ax: Axes, signal: Array, error: Array, sign: Array) -> None:
 
 
 def intervals(signal: Array, *, around_zero: bool = False) -> Array:
-    """Return the limits (B + 1,) of equal intervals over 99 % of a signal's values.
-
-    With ``around_zero``, zero is a limit, so that no interval contains both directions.
-    """
+    """Return the limits (B + 1,) of equal intervals over 99 % of a signal's values."""
     low, high = (float(x) for x in np.percentile(signal, [0.5, 99.5]))
     count = int(np.clip(len(signal) // PER_INTERVAL, FEWEST_INTERVALS, MOST_INTERVALS))
     if not (around_zero and low < 0.0 < high):

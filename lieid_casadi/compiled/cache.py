@@ -65,10 +65,7 @@ def unsafe(path: Path) -> str:
 
 
 def store(key: str, library: bytes) -> Path:
-    """Write a library to the cache, or among the temporary files if the cache is not usable.
-
-    Raises `OSError`: neither can be written.
-    """
+    """Write a library to the cache, or among the temporary files if the cache is not usable."""
     folder = cache_folder()
     try:
         return _write(folder, key, library)

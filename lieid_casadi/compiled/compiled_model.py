@@ -340,10 +340,7 @@ def default_threads() -> int:
 
 
 def samples(name: str, values: ArrayLike, width: int, count: int | None = None) -> Array:
-    """Return values (N, width) as float64, of any strides; ``count`` is the N that is expected.
-
-    Raises `ModelError`: another shape, or not real numbers.
-    """
+    """Return values (N, width) as float64, of any strides; ``count`` is the N that is expected."""
     array = _real(name, values)
     if array.ndim != 2 or array.shape[1] != width or count not in (None, len(array)):
         rows = "N" if count is None else str(count)

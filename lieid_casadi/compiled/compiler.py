@@ -73,10 +73,7 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """Return the compiler of ``$CC``, else the first of cc, gcc, clang on the path.
-
-    Raises `CompilerError`: there is none, or the quoting in ``$CC`` is wrong.
-    """
+    """Return the compiler of ``$CC``, else the first of cc, gcc, clang on the path."""
     try:
         stated = shlex.split(os.environ.get("CC", ""))
     except ValueError as error:
@@ -93,10 +90,7 @@ def find_compiler() -> Compiler:
 
 
 def build(compiler: Compiler, target: Target, source: Path, library: Path, include: Path) -> None:
-    """Compile one C file to a shared library, with headers of the folder ``include``.
-
-    `CompilerError`: the compiler failed, or took longer than `TIMEOUT`.
-    """
+    """Compile one C file to a shared library, with headers of the folder ``include``."""
     command = [
         *compiler.command, *FLAGS, *target.flags, f"-DLIEID_LANES={target.lanes}", f"-I{include}",
         str(source), "-o", str(library), "-lm",

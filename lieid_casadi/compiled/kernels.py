@@ -54,10 +54,7 @@ RIGID = frozenset(
 
 
 class Kernels:
-    """The kernels of one model for one instruction set; safe to use from several threads.
-
-    ``lanes``: samples per register; the most that this processor has if left out.
-    """
+    """The kernels of one model for one instruction set; safe to use from several threads."""
 
     def __init__(self, functions: ModelFunctions, lanes: int | None = None) -> None:
         self.functions = functions
@@ -66,10 +63,7 @@ class Kernels:
         self._runtime: Runtime | None = None
 
     def get(self, names: Iterable[str]) -> tuple[Runtime, tuple[Kernel, ...]] | None:
-        """Return the runtime and kernels of functions; None without a working compiler.
-
-        The first failure of a process is logged once, with its remedy.
-        """
+        """Return the runtime and kernels of functions; None without a working compiler."""
         return CompilerFailure.unless(lambda: self._runtime_and(tuple(names)))
 
     def _runtime_and(self, names: tuple[str, ...]) -> tuple[Runtime, tuple[Kernel, ...]]:
@@ -127,10 +121,7 @@ class CompilerFailure:
 
 
 def target_of(lanes: int | None) -> Target:
-    """Return the fastest instruction set of this processor, or that of ``lanes`` samples.
-
-    Raises `CompilerError`: the processor has no registers of that many lanes.
-    """
+    """Return the fastest instruction set of this processor, or that of ``lanes`` samples."""
     targets = available_targets()
     if lanes is None:
         return targets[0]

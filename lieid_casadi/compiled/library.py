@@ -76,15 +76,12 @@ class BatchPlan(ctypes.Structure):
 
 @dataclass(frozen=True, eq=False)
 class Runtime:
-    """``codegen/lieid_batch.c``, compiled: its functions, which release the GIL.
-
-    ``states`` is there with one lane only.
-    """
+    """``codegen/lieid_batch.c``, compiled: its functions, which release the GIL."""
 
     lanes: int
     dense: Callable[..., int]
     columns: Callable[..., int]
-    states: Callable[..., int] | None
+    states: Callable[..., int] | None  # with one lane only
 
 
 def load_runtime(path: Path) -> Runtime:

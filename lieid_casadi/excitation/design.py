@@ -62,15 +62,12 @@ FAR = 0.3  # distance of −log det per parameter from Δ₂ above which its gra
 
 @dataclass(frozen=True, eq=False)
 class Excess:
-    """Largest excess of a quantity over its limit (negative inside), and when, s.
-
-    ``scaled`` is in parts of the limit's scale.
-    """
+    """Largest excess of a quantity over its limit (negative inside), and when, s."""
 
     label: str
     unit: str
     value: float
-    scaled: float
+    scaled: float  # in parts of the limit's scale
     time: float
     remedy: str
 
@@ -241,11 +238,7 @@ class ExcitationProblem:
 def rest_pose(
     robot: Robot, limits: MotionRange, sets: Sequence[ConstraintSet], given: ArrayLike | None
 ) -> Array:
-    """Return the pose (n,) at which a motion starts and ends: one that is found, or a given one.
-
-    An `ExcitationError` names a joint outside its position limits, a `NoSolution` another limit
-    that the given pose violates at rest.
-    """
+    """Return the pose (n,) at which a motion starts and ends: one that is found, or a given one."""
     if given is None:
         return find_start_pose(robot, limits, sets)
     pose = np.asarray(given, dtype=float)

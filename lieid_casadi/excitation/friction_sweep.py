@@ -220,10 +220,7 @@ def _motion(
 
 
 def _sampled(phases: Sequence[Phase], rate: float) -> tuple[Array, Array]:
-    """Return times (N,), and distance, speed and acceleration (3, N) along phases.
-
-    In a phase the speed changes by a quintic step.
-    """
+    """Return times (N,), and distance, speed and acceleration (3, N) along phases."""
     times, motions, start, distance = [np.zeros(1)], [np.zeros((3, 1))], 0.0, 0.0
     for seconds, before, after in phases:
         count = max(2, round(seconds * rate))

@@ -44,16 +44,13 @@ PUSH = 1e-4  # distance from their bound of slacks that start on it
 
 @dataclass(frozen=True, eq=False)
 class ObjectiveValue:
-    """An objective at z: value, gradient (m,), G (p, p) and further limits excess ≤ 0.
-
-    ``excess`` (s,) has the slopes (s, m); most objectives have none.
-    """
+    """An objective at z: value, gradient (m,), G (p, p) and further limits excess ≤ 0."""
 
     value: float
     gradient: Array
     gram: Array
-    excess: Array
-    slopes: Array
+    excess: Array  # (s,) most objectives have none
+    slopes: Array  # (s, m)
 
 
 Objective = Callable[[Array], ObjectiveValue]
@@ -257,10 +254,7 @@ class _Run:
         return matrix
 
     def done(self, z: Array) -> bool:
-        """Record an iterate, the start first; return whether to stop there.
-
-        The run ends at a violated limit that is not a row, and after some iterations without gain.
-        """
+        """Record an iterate, the start first; return whether to stop there."""
         if self.count == 0 and np.array_equal(z, self.state.z):
             return False
         solver, before = self.solver, self.state

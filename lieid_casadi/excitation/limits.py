@@ -226,11 +226,7 @@ def joint_name(robot: Robot, j: int) -> str:
 
 
 class SymbolicSet(ConstraintSet):
-    """Quantities (k,) given as CasADi expressions of a motion's symbols.
-
-    Jacobians (k, 3 n) are by differentiation where none are given. ``facts`` are attributes of
-    `ConstraintSet`.
-    """
+    """Quantities (k,) given as CasADi expressions of a motion's symbols."""
 
     def __init__(
         self,

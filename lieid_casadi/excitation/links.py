@@ -117,10 +117,7 @@ def _bundled(robot: Robot) -> tuple[Capsule, ...]:
 
 
 def load_capsules(path: str | Path, robot: Robot) -> tuple[Capsule, ...]:
-    """Read capsules from YAML: ``capsules: [{link, start, end, radius}]``; link 0 is the base.
-
-    A `RobotError` names a missing key, or a link that the robot does not have.
-    """
+    """Read capsules from YAML: ``capsules: [{link, start, end, radius}]``; link 0 is the base."""
     from lieid_casadi.robot.description import read_text
 
     return parse_capsules(read_text(path), robot, origin=str(path))
@@ -198,10 +195,7 @@ def fixed_frames(robot: Robot) -> list[tuple[str, int, Array]]:
 
 
 def collision_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
-    """Return the collision geometry of a URDF, and the names of links of unknown shape.
-
-    The latter have geometry that is not found, or geometry to look at but none for collisions.
-    """
+    """Return the collision geometry of a URDF, and the names of links of unknown shape."""
     import pinocchio as pin
 
     model = _UrdfModel.of(robot)

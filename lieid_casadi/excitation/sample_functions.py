@@ -108,16 +108,13 @@ class IdentifiedModel(FittedModel, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FittedArm:
-    """The numbers of a fit that a design uses; picklable.
-
-    ``covariance_root`` (p + s, r) is F with F·Fᵀ the covariance of base and shape parameters.
-    """
+    """The numbers of a fit that a design uses; picklable."""
 
     model: Model
     link_parameters: Array
     effect_coefficients: Array
     shapes: Array
-    covariance_root: Array
+    covariance_root: Array  # (p + s, r) F, with F·Fᵀ the covariance of base and shape parameters
 
     @classmethod
     def of(cls, fit: IdentifiedModel) -> FittedArm:

@@ -76,11 +76,7 @@ class Search:
         self._solver = Ipopt(problem.constraints(COARSE), self._record)
 
     def solve(self) -> StartAttempt:
-        """Run the stages and return the best trajectory within all limits.
-
-        Ctrl-C keeps the best so far. A `NoSolution` names the limit that could not be met, where
-        and by how much, and what to relax.
-        """
+        """Run the stages and return the best trajectory within all limits."""
         interrupted = False
         try:
             self._run_stages(self.problem.random_start(self.seed))
@@ -158,10 +154,7 @@ class Search:
         self.best, self._best_rank = None, np.inf
 
     def _verified(self) -> Iterate:
-        """Return the best iterate that meets all limits on the fine grid.
-
-        Where the best iterate does not, the problem is solved again on that grid.
-        """
+        """Return the best iterate that meets all limits on the fine grid."""
         objective = self.problem.objective(self._stages[-1].criterion, self._ceiling)
         for _ in range(FINE_ROUNDS):
             reached = self.best or self.last

@@ -203,10 +203,7 @@ class SampledBasis:
 
 
 def csv_text(motion: MotionSamples, checked: Sequence[str], unchecked: Sequence[str]) -> str:
-    """Return t, q1 … qn, dq1 … dqn, ddq1 … ddqn, one row per sample; 12 digits.
-
-    What was checked, and what was not, precedes the header in lines that begin with ``#``.
-    """
+    """Return t, q1 … qn, dq1 … dqn, ddq1 … ddqn, one row per sample; 12 digits."""
     n = motion.q.shape[1]
     names = [f"{kind}{j + 1}" for kind in ("q", "dq", "ddq") for j in range(n)]
     table = np.column_stack([motion.t, motion.q, motion.dq, motion.ddq])

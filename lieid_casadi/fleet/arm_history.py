@@ -127,10 +127,7 @@ def read_arms(history: History, *, waiting: int | None = None) -> Iterator[ArmHi
 def _rows_by_arm(
     history: History, ends: Mapping[str, str]
 ) -> dict[str, defaultdict[str, list[tuple[Any, ...]]]]:
-    """Return rows of the kept runs by table and arm: nights, quantities, joints and findings.
-
-    ``ends`` are the first and last serial number, without which a table's other columns are read.
-    """
+    """Return rows of the kept runs by table and arm: nights, quantities, joints and findings."""
     own = "USING (run_id, serial) WHERE serial BETWEEN $first AND $last"
     lists = ", ".join(f"list({name} ORDER BY k)" for name in _JOINT_COLUMNS)
     queries = {

@@ -45,15 +45,12 @@ UNDETERMINED = 1e-9  # of scaled columns: directions that the night does not exc
 
 @dataclass(frozen=True, eq=False)
 class NightRows:
-    """Equations of one night, one factor per joint, weighted to unit noise.
-
-    ``size`` (n,) is the noise of a row, N·m: that of a joint, N·m, for rows that are correlated.
-    """
+    """Equations of one night, one factor per joint, weighted to unit noise."""
 
     fit: Fit
     factors: list[Factor]
-    size: Array
-    noise: Array
+    size: Array  # (n,) noise of a row, N·m
+    noise: Array  # (n,) of a joint, N·m: rows are correlated
 
     @classmethod
     def of(cls, fit: Fit, recording: Recording) -> NightRows:
@@ -156,10 +153,7 @@ def _diagnosed(night: ArmNight, fit_content: bytes, path: Path) -> NightResult:
 
 
 def load_night(night: ArmNight, fit_content: bytes, path: Path) -> tuple[Fit, Recording]:
-    """Return the fit of an arm, with the known payload, and a recording that fits its model.
-
-    The recording is read and corrected as those that the fit was made from.
-    """
+    """Return the fit of an arm, with the known payload, and a recording that fits its model."""
     fit = _fit(fit_content, None, None)
     robot, read = fit.model.robot, fit.provenance
     options: dict[str, Any] = {

@@ -157,10 +157,7 @@ class _Refused(Exception):
 
 
 def read_fleet(path: str | Path) -> Fleet:
-    """Read a fleet file; relative paths in it refer to its folder.
-
-    FleetError: the file is missing or has an entry that is not valid; the message names the line.
-    """
+    """Read a fleet file; relative paths in it refer to its folder."""
     file = Path(path)
     try:
         require_regular(file)

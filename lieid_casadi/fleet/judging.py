@@ -126,10 +126,7 @@ def _adjusted_tests(
     known: Sequence[ArmHistory],
     alarmed: Mapping[str, Collection[int | None]],
 ) -> tuple[list[list[Test]], list[float]]:
-    """Return, for each arm, significant changes, and the smallest p-value of all.
-
-    The p-values are adjusted for the number of quantities of the arm.
-    """
+    """Return, for each arm, significant changes, and the smallest p-value of all."""
     scatter, warmth = _priors(known)
     # on an arm that has changed an effect is found every night; each arm therefore counts once
     counts = Counter(x for arm in known for x in {e for night in arm.found for e, _ in night})

@@ -375,10 +375,7 @@ def _pairs(
 
 
 def _grouped(pairs: _Pairs, load: Array) -> tuple[_Pairs, Array, Indices]:
-    """Group pairs by speed (logarithmically) and, if it varies, by the magnitude of the load.
-
-    Returns the pairs of groups that are large enough, their loads (P,) and their groups (P,).
-    """
+    """Group pairs by speed (logarithmically) and, if it varies, by the magnitude of the load."""
     logarithm = np.log(pairs.speed)
     width = max(FINEST, float(np.ptp(logarithm)) / MOST_SPEEDS)
     cell = ((logarithm - logarithm.min()) / width).astype(np.intp) * LOADS
@@ -423,10 +420,7 @@ def _standard_errors(pairs: _Pairs, member: Indices, trends: Array) -> Array:
 
 
 def _batches(member: Indices, stretch: Indices) -> tuple[Indices, Indices]:
-    """Return the batch of each pair, and the group of each batch.
-
-    A batch has consecutive pairs of one group and one stretch.
-    """
+    """Return the batch of each pair, and the group of each batch."""
     change = (np.diff(member) != 0) | (np.diff(stretch) != 0)
     run = np.concatenate([[0], np.cumsum(change)])
     first = np.concatenate([[0], np.flatnonzero(change) + 1])

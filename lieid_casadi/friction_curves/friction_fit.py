@@ -283,10 +283,7 @@ def _best_shapes(problem: SeparableProblem, initial: Array) -> Array:
 
 
 def _covariance(matrix: Array, residual: Array) -> tuple[Array, tuple[Array, ...]]:
-    """Return the covariance (m + s, m + s) and the directions that are not determined.
-
-    Parameters of these directions have infinite variance.
-    """
+    """Return the covariance (m + s, m + s) and the directions that are not determined."""
     scale = np.linalg.norm(matrix, axis=0)
     zero = scale <= ZERO_COLUMN * scale.max(initial=0.0)
     scale[zero] = 1.0

@@ -238,12 +238,6 @@ def not_identified(payload: PayloadEstimate) -> list[tuple[str, str]]:
 
 
 def with_std(value: float, std: float) -> str:
-    """Return a value ± its standard deviation, rounded to two digits of the latter.
-
-    Examples
-    --------
-    >>> with_std(2.00003, 0.00182)
-    '2.0000 ± 0.0018'
-    """
+    """Return a value ± its standard deviation, rounded to two digits of the latter."""
     decimals = min(max(1 - math.floor(math.log10(std)), 0), 12) if 0.0 < std < math.inf else 4
     return f"{value:z.{decimals}f} ± {std:.{decimals}f}"

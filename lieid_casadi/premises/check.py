@@ -312,10 +312,7 @@ def _by_stated(before: Errors, after: Errors) -> bool:
 
 
 def _lower(full: Screen, before: Errors, after: Errors, alternative: Alternative) -> bool | None:
-    """Return whether it is certain that errors fall by an alternative; None if they hardly do.
-
-    In the stated fit, a fall that inaccurate centres of mass could explain is none.
-    """
+    """Return whether it is certain that errors fall by an alternative; None if they hardly do."""
     score = after.score(before) + alternative.cost
     ratios = after.relative / before.relative
     if alternative.premise == "joint_coupling":  # it changes the torque that errors are relative to

@@ -164,10 +164,7 @@ class Screen:
 
     @cached_property
     def displaced(self) -> Array:
-        """RMS torque (n,), N·m, of stated centres of mass off by `COM_ERROR` along every axis.
-
-        As the stated fit sees it: without what the joints' own columns explain.
-        """
+        """RMS torque (n,), N·m, of stated centres of mass off by `COM_ERROR` along every axis."""
         if self.parameters is None:
             return np.zeros(self.n)
         links = self.robot.link_parameters.reshape(self.n, 10)

@@ -72,10 +72,7 @@ def picture_section(title: str, figure: Figure, note: str = "") -> Section:
 
 
 def data_uri(figure: Figure, *, dpi: float = 110.0, colors: int | None = None) -> str:
-    """Return a figure as a PNG in a ``data:`` URI, of as many colors (a quarter of the bytes).
-
-    All colors if ``colors`` is left out; ``dpi`` are pixels per inch.
-    """
+    """Return a figure as a PNG in a ``data:`` URI, of as many colors (a quarter of the bytes)."""
     stream = BytesIO()
     figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
     if colors is not None:
@@ -100,10 +97,7 @@ def csv_name(table: Table, section: str) -> str:
 
 
 def render(title: str, sections: Sequence[Section]) -> str:
-    """Return a page with these sections in their order.
-
-    Style and figures are embedded; a content policy in the page forbids loading anything.
-    """
+    """Return a page with these sections in their order."""
     from lieid_casadi import __version__
 
     environment = _environment()

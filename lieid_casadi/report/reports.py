@@ -49,10 +49,7 @@ SIGNIFICANT = 2.0  # standard deviations away from zero
 
 
 def comparison_report(fit: Fit, comparison: Comparison) -> str:
-    """Return the HTML report of a fit on test recordings.
-
-    The verdict comes first, then warnings, errors and figures, then the details of the fit.
-    """
+    """Return the HTML report of a fit on test recordings."""
     sections = [
         table_section("", sentences=[verdict(comparison)]),
         *_next_commands(_after_comparison(fit, comparison)),

@@ -28,10 +28,7 @@ BASE, SELECTED = "#d3d9de", "#10243a"
 
 
 class ArmScene:
-    """The arm, with a slider for the instant that it shows; ``moved`` is called with it, s.
-
-    ``clicked`` is called with the number of a link, from 1, on which the user clicks.
-    """
+    """The arm, with a slider for the instant that it shows; ``moved`` is called with it, s."""
 
     def __init__(
         self,

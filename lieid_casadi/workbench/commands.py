@@ -10,10 +10,7 @@ from lieid_casadi.workbench.session import ModelStep, Role, Session, WorkbenchIn
 
 
 def shell_lines(session: Session, cutoff: float | None = None) -> str:
-    """Return ``lieid`` commands that fit the model of the current step and diagnose it.
-
-    ``cutoff`` is that of the fit's filter, Hz; by default each command chooses it.
-    """
+    """Return ``lieid`` commands that fit the model of the current step and diagnose it."""
     inputs, step = session.inputs, session.step
     assert step is not None  # there is nothing to reproduce before inputs are open
     train, test = _paths(inputs, step, "train"), _paths(inputs, step, "test")

@@ -147,10 +147,7 @@ class Computation:
         report: Progress,
         processing: Processing | None = None,
     ) -> tuple[FoundEffects, bytes]:
-        """Return the effects that the model of a step lacks, and the fit with all of them.
-
-        The fit is the content of a file, for `adopt`.
-        """
+        """Return the effects that the model of a step lacks, and the fit with all of them."""
         self._processing = self._processing or processing
         train, test = self.used(step)
         diagnosis = diagnose(
@@ -182,11 +179,7 @@ class Computation:
         return arm_motion(self.robot, shown.t, shown.q)
 
     def save(self, step: ModelStep, *, kind: Kind, report: Progress) -> tuple[str, bytes]:
-        """Return the name and the content of a file.
-
-        Exports are zip files; for URDF and MJCF, the model is fitted with physically consistent
-        inertias.
-        """
+        """Return the name and the content of a file."""
         report("fit", 0.1)
         fit = self.fit(step, report)
         train, test = self.used(step)
@@ -389,10 +382,7 @@ def stretches(
 
 @dataclass(frozen=True, eq=False)
 class PreparedRecordings:
-    """Recordings with their segments through the filter of a fit, and warnings of the checks.
-
-    Temperatures of the segments are relative to the fit's mean.
-    """
+    """Recordings with their segments through the filter of a fit, and warnings of the checks."""
 
     recordings: tuple[Recording, ...]
     segments: tuple[Processed, ...]
@@ -435,11 +425,7 @@ class PreparedRecordings:
         uncertainty: bool = True,
         held_out: bool = True,
     ) -> Fit:
-        """Return the fit of another model with the method and filter of the first one.
-
-        Without ``uncertainty``, standard deviations are left out, which take longer than the fit;
-        without ``held_out``, cross-validated errors.
-        """
+        """Return the fit of another model with the method and filter of the first one."""
         check_recordings(model, self.recordings)
         return identify_segments(
             compile(model),

@@ -48,26 +48,19 @@ class OpenedRecording:
 
 @dataclass(frozen=True, eq=False)
 class OpenedInputs:
-    """What was opened.
-
-    ``units`` are those of each joint's torque, N·m or N; ``effects`` the labels of the first
-    model's placements.
-    """
+    """What was opened."""
 
     robot: str
     joint_names: tuple[str, ...]
-    units: tuple[str, ...]
+    units: tuple[str, ...]  # of torque
     revolute: tuple[bool, ...]
-    effects: tuple[str, ...]
+    effects: tuple[str, ...]  # of the first model
     recordings: tuple[OpenedRecording, ...]
     meshes: tuple[ArmMesh, ...]
 
 
 def opened_inputs(model: Model, recordings: Sequence[Recording], *, file: str) -> OpenedInputs:
-    """Return facts about the first model and the recordings, which are checked.
-
-    ``file`` is that of the robot or fit, near which its meshes are looked for.
-    """
+    """Return facts about the first model and the recordings, which are checked."""
     robot = model.robot
     return OpenedInputs(
         robot=robot.name,
@@ -142,10 +135,7 @@ def series_of(evaluation: Evaluation | None, title: str) -> list[Series]:
 def difference_tables(
     session: Session, position: int, evaluations: tuple[Evaluation, Evaluation], joint: int | None
 ) -> list[Table]:
-    """Return the errors of the model at ``position`` and of the shown one, and other effects.
-
-    Those on one joint, from 0, and on the whole arm; on all joints if ``joint`` is None.
-    """
+    """Return the errors of the model at ``position`` and of the shown one, and other effects."""
     models = [f"model {position + 1}", f"model {session.position + 1}"]
     errors = zip(*(each.errors.shown for each in evaluations), strict=True)
     rows = [

@@ -220,10 +220,7 @@ def _option_field(name: str, label: str) -> ui.input:
 
 
 class _ColumnsDialog:
-    """Assigns the columns of the first recording to signals, and states their units.
-
-    ``done`` is called with the values of the options ``--columns`` and ``--units``.
-    """
+    """Assigns the columns of the first recording to signals, and states their units."""
 
     def __init__(self, done: Callable[[str, str], None]) -> None:
         self._values: dict[str, list[str]] = {}

@@ -193,10 +193,7 @@ def serve(
     *,
     ready: Callable[[str], None],
 ) -> None:
-    """Serve the page until the process is asked to end; raises as `serve_pages`.
-
-    ``inputs`` are what a new page opens; ``ready`` is called with the URL once it can be opened.
-    """
+    """Serve the page until the process is asked to end; raises as `serve_pages`."""
     remove_old_sessions()
     sessions = Sessions(inputs, setup)
     pages = functools.partial(_pages, sessions)

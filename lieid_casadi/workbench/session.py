@@ -345,11 +345,7 @@ class SessionContent(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def session_folder() -> Path:
-    """Return the folder of saved sessions.
-
-    ``$LIEID_WORKBENCH_DIR``, else ``lieid-casadi/workbench`` in ``$XDG_STATE_HOME`` or
-    ``~/.local/state``.
-    """
+    """Return the folder of saved sessions."""
     stated = os.environ.get("LIEID_WORKBENCH_DIR")
     if stated:
         return Path(stated).absolute()
@@ -398,13 +394,7 @@ def save_session(name: str, session: Session) -> None:
 
 
 def load_session(name: str) -> Session | None:
-    """Return a saved session, None if there is none.
-
-    Raises
-    ------
-    SessionFileError
-        The file is damaged, or of a later schema.
-    """
+    """Return a saved session, None if there is none."""
     file = _file(name)
     if not is_name(name) or not file.is_file():
         return None

@@ -184,10 +184,7 @@ class Workbench:
     # -- actions of the user
 
     async def open(self, inputs: WorkbenchInputs, saved: Session | None = None) -> bool:
-        """Open a robot or fit and recordings; return whether it succeeded.
-
-        With a saved session of these inputs, its history is restored.
-        """
+        """Open a robot or fit and recordings; return whether it succeeded."""
         if self._back.busy:
             self._back.stop()
         self.computing, self.error, self.failure = True, "", inputs.lacking

@@ -68,10 +68,7 @@ class _Waiting:
 
 
 class Worker:
-    """A process that computes; it is started with the first request, or by `start`.
-
-    That of a ``background`` worker leaves the processor to others while it computes `UNHURRIED`.
-    """
+    """A process that computes; it is started with the first request, or by `start`."""
 
     def __init__(self, setup: WorkerSetup, *, background: bool = False) -> None:
         self._setup, self._background = setup, background
@@ -110,10 +107,7 @@ class Worker:
         progress: Progress | None = None,
         **arguments: Any,
     ) -> Any:
-        """Return the result of a task; raises `WorkerError` or `WorkerStopped`.
-
-        ``progress`` is called with the stage and fraction in this thread.
-        """
+        """Return the result of a task; raises `WorkerError` or `WorkerStopped`."""
         self.start()
         assert self._pipe is not None
         loop = asyncio.get_running_loop()

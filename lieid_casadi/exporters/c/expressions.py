@@ -75,10 +75,7 @@ class ExportExpressions(TorqueExpressions):
 
     @cached_property
     def effect_columns(self) -> ca.SX:
-        """Columns (n, m) of all effects, those on the measurement included.
-
-        Raises `ExportError`: an effect needs more than one instant.
-        """
+        """Columns (n, m) of all effects, those on the measurement included."""
         columns, first = ca.SX(self.joint_columns), 0
         for p in self.model.placements:
             last = first + len(p.effect.coefficients)

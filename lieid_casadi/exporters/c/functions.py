@@ -71,10 +71,7 @@ def each(symbol: ca.SX, pattern: str) -> FunctionInput:
 
 @dataclass(frozen=True)
 class FunctionBody:
-    """The body of a C function that writes a matrix, row after row.
-
-    All inputs are read before the first result is written: they may be the same memory.
-    """
+    """The body of a C function that writes a matrix, row after row."""
 
     lines: tuple[str, ...]
     used: frozenset[str]

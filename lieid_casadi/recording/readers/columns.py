@@ -290,10 +290,7 @@ def measurement_of_columns(
 def reassigned(
     measurement: Measurement, stated: Sequence[tuple[str, str]], n: int | None = None
 ) -> Measurement:
-    """Return a measurement with signals taken for others: pairs of names such as tau2, tau3.
-
-    Of a file with more than ``n`` joints, all signals of so many are stated, and others left out.
-    """
+    """Return a measurement with signals taken for others: pairs of names such as tau2, tau3."""
     columns, source = columns_of(measurement), dict[str, str]()
     for name, column in stated:
         joint = "" if column[-1].isdigit() or column in columns else "[0-9]+"
