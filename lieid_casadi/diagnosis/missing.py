@@ -42,7 +42,7 @@ from lieid_casadi.errors import (
     unique_warnings,
 )
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.fit_warnings import OF_NUMBERS
+from lieid_casadi.identification.fit_warnings import OF_LIMIT, OF_NUMBERS
 from lieid_casadi.identification.identify import Method, identify_segments
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import Source
@@ -52,7 +52,6 @@ from lieid_casadi.recording import Recording, process
 
 Report = Callable[[str, float], None]
 CONTAINED = 0.1  # part of an effect's torque that a smooth function can take over
-OF_LIMIT = 0.5  # of a joint's error, below which a limit that is searched for first must lower it
 #: Torque of an effect in that of its joint: a spring may carry several times what the drive does;
 #: more cancels that of other effects, and does so only at the speeds of the training data.
 LARGEST_TORQUE = 10.0

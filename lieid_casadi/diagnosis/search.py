@@ -148,11 +148,11 @@ def _judged(
     others = outside(first)
     before, after = (held_out_squares(paths, folds, each) for each in (parts, others))
     so = judged(other, others)
-    many, fewer = _supported(slots, options), _supported(so, options)
+    plain, smooth = _supported(slots, options), _supported(so, options)
     needed = {paths.columns.candidate(g).joint for g in whole if rules.smooth[g]}
     lower = after.sum(axis=0) < before.sum(axis=0)
-    better = {j for j in first if fewer[j] and not many[j]}
-    better |= {j for j in first if lower[j] and fewer[j] == 1 and (j in needed or many[j] > 1)}
+    better = {j for j in first if smooth[j] and not plain[j]}
+    better |= {j for j in first if lower[j] and smooth[j] == 1 and (j in needed or plain[j] > 1)}
     better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
     if better == first:
         return folds, so

@@ -48,7 +48,7 @@ OF_NUMBERS = (
 WEAK = 0.05  # of a column's norm that the other columns do not span: below it, a warning
 SHARE_AT_REST = 0.01  # of the samples, above which rest is reported
 LIMITED = np.arange(0.5, 1.0, 0.05)  # quantiles of position errors, from which a limit may act
-OF_LIMIT = 0.5  # of a joint's error, which a limit of its drive must explain to be a warning
+OF_LIMIT = 0.5  # of a joint's error, below which a limit of its drive must lower it to be stated
 ROWS_FOR_LIMIT = 5  # for each column of a joint
 
 

@@ -152,6 +152,14 @@ def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
     np.testing.assert_array_equal(again.values, diagnosis.fit.values)
 
 
+def test_cross_talk_of_torque_sensors_is_a_smooth_function_of_the_other_joints_load():
+    arm = arm_with().with_effects(plant.ForeignTorque(1, lambda s: 0.1 * s.load[..., 0]))
+    (step,) = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2)).steps
+    assert step.label == "smooth/load1:2"
+    before = lieid.compare(lieid.identify(MODEL, run(arm, 1)), run(arm, 2)).rms[1]
+    assert step.errors["rms_test"][1] < 0.5 * before
+
+
 def spot(q, place, width):
     return 1.0 / (1.0 + ((q[..., 1] - place) / width) ** 2)
 
