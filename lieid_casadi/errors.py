@@ -245,6 +245,10 @@ class DriveLimitWarning(LieidWarning):
     """Drives seem to deliver less torque than their control laws state at large errors."""
 
 
+class DriveProtectionWarning(LieidWarning):
+    """Stretches in which a servo's overload protection lowers its torque below that of its law."""
+
+
 class NotSimulatedWarning(LieidWarning):
     """An effect of a fit changes the motion of its links, and a simulation leaves it out."""
 

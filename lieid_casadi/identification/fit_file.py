@@ -239,6 +239,9 @@ class DriveFile(Struct, forbid_unknown_fields=True, omit_defaults=True):
     relative: bool
     servo: str
     derivative: NotNegative = 0.0
+    overload: Positive | None = None
+    overload_time: NotNegative = 0.0
+    protective_limit: Positive | None = None
 
 
 class ModelFiles(Struct, forbid_unknown_fields=True):

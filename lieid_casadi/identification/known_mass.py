@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.errors import IdentificationError, RelativeTorqueWarning
+from lieid_casadi.errors import ConvergenceWarning, IdentificationError, RelativeTorqueWarning
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.identify import identify
 from lieid_casadi.model import Model
@@ -19,6 +19,7 @@ from lieid_casadi.robot import Robot
 GRAVITY_PARAMETERS = 4  # m, m·cx, m·cy, m·cz: the first of a link's ten parameters
 ROUNDS = 6  # of fits with gains, which converge where these are below 1
 MOST_GAIN = 0.9  # of a torque that a first fit may state as too large
+WEAK = 0.1  # relative standard deviation, from which a stiffness is not determined
 SETTLED = 1e-3  # relative change of a stiffness
 SMALL = 1e-9  # kg·m: smaller known parameters do not determine a scale
 
@@ -28,7 +29,8 @@ def identify_each_stiffness(model: Model, recordings: Sequence[Recording], **opt
 
     With one stiffness for all, that of joint j is a gain of its torque, 1 + g = K_1/K_j, which the
     mass that several joints carry determines. The gains become stiffnesses of the laws until they
-    are zero; the last fit is that of the model alone.
+    are zero; the last fit is that of the model alone. A stiffness that the recordings do not
+    determine is that of joint 1: the laws follow no gain that is uncertain.
     """
     robot, n = model.robot, model.n
     if not robot.drives or not all(drive.relative for drive in robot.drives) or n < 2:
@@ -36,23 +38,29 @@ def identify_each_stiffness(model: Model, recordings: Sequence[Recording], **opt
             "stiffnesses of single joints need two joints and drives without stiffness "
             "(--stiffness each)"
         )
-    ratios, std = np.ones(n), np.zeros(n)
+    ratios, std, known = np.ones(n), np.zeros(n), np.zeros(n, dtype=bool)
     for _ in range(ROUNDS):
         stated = _with_stiffnesses(model, ratios)
         gained = stated.with_effect("torque_gain", joints=range(1, n))
         fit = identify(gained, _by_laws(recordings, stated), **options | {"method": "wls"})
         rows = [row for row in fit.parameter_table() if row["name"] == "torque_gain.g"]
-        for row in rows:
-            j, factor = row["joint"] - 1, 1.0 + max(row["value"], -MOST_GAIN)
-            ratios[j] /= factor
-            std[j] = ratios[j] * (np.inf if row["std"] is None else row["std"]) / factor
-        if all(abs(row["value"]) < SETTLED for row in rows):
+        factor = 1.0 + np.array([max(row["value"], -MOST_GAIN) for row in rows])
+        spread = np.array([np.inf if row["std"] is None else row["std"] for row in rows]) / factor
+        settled = not any(isinstance(w, ConvergenceWarning) for w in fit.warnings)
+        known[1:] |= spread < WEAK
+        ratios[1:] = np.where(known[1:], ratios[1:] / factor, 1.0)
+        std[1:] = ratios[1:] * spread
+        if settled and np.all(np.abs(factor[known[1:]] - 1.0) < SETTLED):
             break
+    if not settled:
+        known[:], ratios[:] = False, 1.0
     stated = _with_stiffnesses(model, ratios)
     final = identify(stated, _by_laws(recordings, stated), **options)
-    numbers = enumerate(zip(ratios[1:], std[1:], strict=True), start=2)
-    text = ", ".join(f"joint {j} {ratio:.3g} ± {spread:.2g}" for j, (ratio, spread) in numbers)
-    note = RelativeTorqueWarning(f"drive stiffness relative to that of joint 1: {text}")
+    found = [f"joint {j + 1} {ratios[j]:.3g} ± {std[j]:.2g}" for j in np.flatnonzero(known)]
+    if not known[1:].all():
+        others = ", ".join(f"joint {j + 1}" for j in range(1, n) if not known[j])
+        found.append(f"not determined, and taken as that of joint 1: {others}")
+    note = RelativeTorqueWarning(f"drive stiffness relative to that of joint 1: {'; '.join(found)}")
     return replace(final, warnings=(*final.warnings, note))
 
 

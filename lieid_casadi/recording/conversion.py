@@ -93,7 +93,8 @@ def torque_of_commands(measurement: Measurement, drives: Sequence[Drive]) -> Arr
     velocity = measurement.dq
     if velocity is None:
         velocity = _differences(measurement.t, measurement.q)
-    return commanded_torque(drives, measurement.command - measurement.q, velocity)
+    error = measurement.command - measurement.q
+    return commanded_torque(drives, measurement.t, error, velocity)
 
 
 def is_torque_of_laws(measurement: Measurement, drives: Sequence[Drive]) -> bool:

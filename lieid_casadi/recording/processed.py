@@ -11,7 +11,12 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import binary_opening, maximum_filter1d
 
 from lieid_casadi.arrays import Array, Mask
-from lieid_casadi.errors import LieidWarning, RecordingError, ShortSegmentWarning
+from lieid_casadi.errors import (
+    DriveProtectionWarning,
+    LieidWarning,
+    RecordingError,
+    ShortSegmentWarning,
+)
 from lieid_casadi.recording.filtering import (
     HIGHEST_CUTOFF,
     Window,
@@ -118,6 +123,16 @@ class Processed:
         columns = [x.effective_error(error[:, j], self.dq[:, j]) for j, x in enumerate(laws)]
         return np.stack(columns, axis=1)
 
+    @cached_property
+    def by_law(self) -> Mask:
+        """(K, n) False where overload protection lowers the torque below that of a drive's law."""
+        laws = self.recording.drives
+        if self.command is None or laws is None:
+            return np.ones(self.q.shape, dtype=bool)
+        error = self.command - self.q
+        columns = [x.protected(self.t, error[:, j], self.dq[:, j]) for j, x in enumerate(laws)]
+        return ~np.stack(columns, axis=1)
+
     def __len__(self) -> int:
         return int(self.t.size)
 
@@ -170,7 +185,11 @@ class Processed:
     @cached_property
     def filtered_moving(self) -> Mask:
         """(M, n) True where no rest, with undetermined friction, is within the filter."""
-        return np.asarray(np.abs(self.filter(self.moving) - 1.0) < LARGEST_REST_WEIGHT)
+        return self.filtered_mask(self.moving & self.by_law)
+
+    def filtered_mask(self, mask: Mask) -> Mask:
+        """Return the mask (M, n) of rows whose filter hardly contains instants outside (K, n)."""
+        return np.asarray(np.abs(self.filter(mask) - 1.0) < LARGEST_REST_WEIGHT)
 
     def away_from_reversals(self, reach: float) -> Mask:
         """(M, n) True farther than a time, s, from each reversal and rest of a joint.
@@ -252,7 +271,7 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
     def straight(values: Array | None) -> Array | None:
         return None if values is None else read_only(straight_at(t, values, times)[::step])
 
-    return Processed(
+    made = Processed(
         t=read_only(times[::step]),
         q=read_only(motion.q[::step]),
         dq=read_only(motion.dq[::step]),
@@ -269,6 +288,26 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
         options=options,
         warnings=() if repeated is None else (repeated,),
     )
+    return replace(made, warnings=(*made.warnings, *_protected(made)))
+
+
+def _protected(segment: Processed) -> list[LieidWarning]:
+    """Return a warning for each joint whose servo lowered its torque by overload protection."""
+    found: list[LieidWarning] = []
+    for j, acts in enumerate(~segment.by_law.T):
+        ends = np.flatnonzero(np.diff(acts, prepend=False, append=False)).reshape(-1, 2)
+        if len(ends):
+            law = (segment.recording.drives or ())[j]
+            times = ", ".join(f"{segment.t[a]:.4g} to {segment.t[b - 1]:.4g} s" for a, b in ends)
+            found.append(
+                DriveProtectionWarning(
+                    f"{segment.recording.title}: overload protection of joint {j + 1} (more than "
+                    f"{law.overload:.3g} N·m for {law.overload_time:g} s) limits its torque to "
+                    f"{law.protective_limit:.3g} N·m: {times}; left out of fits of the joint. "
+                    "A simulation has the full torque there"
+                )
+            )
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import RobotError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +41,9 @@ class Drive:
     derivative : float
         D_v, N·m·s/rad: the controller's gain on velocity, within its limit L_p. Without the limit
         it is equal to D.
+    overload, overload_time, protective_limit : float
+        Overload protection: after the controller has asked for more than ``overload``, N·m, for
+        ``overload_time``, s, the torque is limited to ``protective_limit``, N·m.
     """
 
     stiffness: float
@@ -52,6 +53,9 @@ class Drive:
     relative: bool = False
     servo: str = ""
     derivative: float = 0.0
+    overload: float = math.inf
+    overload_time: float = 0.0
+    protective_limit: float = math.inf
 
     def torque(
         self, error: Any, velocity: Any, *, clip: Callable[[Any, float, float], Any] = np.clip
@@ -76,6 +80,18 @@ class Drive:
         torque = self.torque(error, velocity, clip=clip)
         return (torque + self.damping * velocity) / self.stiffness
 
+    def protected(self, t: Array, error: Array, velocity: Array) -> Mask:
+        """Return whether (N,) overload protection lowers the torque of the law at times t, s.
+
+        ``error`` and ``velocity`` are as of `torque`. It acts until the controller asks for less
+        than the lower limit allows.
+        """
+        asked = np.abs(self.stiffness * error - self.derivative * velocity)
+        above, inside = asked > self.overload, asked > self.protective_limit
+        since = np.maximum.accumulate(np.where(above, t[0], t))
+        tripped = np.cumsum(above & (t - since >= self.overload_time))
+        return np.asarray(inside & (tripped > np.maximum.accumulate(np.where(inside, 0, tripped))))
+
     def limited(self, torque_limit: float) -> Drive:
         """Return the law with a joint's torque limit, N·m (NaN: none); a servo has its own."""
         if math.isnan(torque_limit) or self.relative or math.isfinite(self.proportional_limit):
@@ -93,19 +109,21 @@ class Drive:
         return replace(own, relative=False)
 
     def relative_to(self, ratio: float) -> Drive:
-        """Return a law of unknown stiffness with K and its damping times a ratio."""
-        return replace(
-            self,
-            stiffness=ratio * self.stiffness,
-            damping=ratio * self.damping,
-            derivative=ratio * self.derivative,
+        """Return a law of unknown stiffness with K, its damping and its limits times a ratio."""
+        scaled = ("stiffness", "damping", "derivative", "proportional_limit", "torque_limit")
+        return replace(self, **{name: ratio * getattr(self, name) for name in scaled})
+
+
+def commanded_torque(drives: Sequence[Drive], t: Array, error: Array, velocity: Array) -> Array:
+    """Return the torque (N, n) of the control laws of all joints at t (N,), N·m."""
+    torque = np.empty_like(error)
+    for j, law in enumerate(drives):
+        signals = error[:, j], velocity[:, j]
+        lowered = replace(law, proportional_limit=min(law.proportional_limit, law.protective_limit))
+        torque[:, j] = np.where(
+            law.protected(t, *signals), lowered.torque(*signals), law.torque(*signals)
         )
-
-
-def commanded_torque(drives: Sequence[Drive], error: Array, velocity: Array) -> Array:
-    """Return the torque (N, n) of the control laws of all joints, N·m."""
-    columns = [d.torque(error[:, j], velocity[:, j]) for j, d in enumerate(drives)]
-    return np.stack(columns, axis=1)
+    return torque
 
 
 def servo_drive(name: str, *, derivative: float = 0.0) -> Drive:
@@ -128,12 +146,16 @@ def servo_drive(name: str, *, derivative: float = 0.0) -> Drive:
         raise RobotError(f"servo {name!r}: expected one of {', '.join(presets)}")
     servo = presets[name]
     stall, duty = servo["stall_torque"], servo["largest_duty"]
+    overload = servo.get("overload", {"duty": math.inf, "time": 0.0, "duty_after": math.inf})
     return Drive(
         stiffness=stall * servo["gain"],
         damping=stall / servo["no_load_speed"],
         proportional_limit=stall * duty,
         servo=name,
         derivative=derivative,
+        overload=stall * overload["duty"],
+        overload_time=overload["time"],
+        protective_limit=stall * overload["duty_after"],
     )
 
 

@@ -1,5 +1,8 @@
 """Torque of position-controlled drives from their control law."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drives.commanded import LAWS, TWO_LINK, commanded, measured
@@ -7,9 +10,12 @@ from drives.commanded import LAWS, TWO_LINK, commanded, measured
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.errors import RobotError
-from lieid_casadi.identification.known_mass import identify_with_known_masses
-from lieid_casadi.robot.drive import Drive, servo_presets
+from lieid_casadi.errors import DriveProtectionWarning, RobotError
+from lieid_casadi.identification.known_mass import (
+    identify_each_stiffness,
+    identify_with_known_masses,
+)
+from lieid_casadi.robot.drive import Drive, commanded_torque, servo_presets
 from lieid_casadi.robot.yaml_file import write_yaml
 
 EFFECTS = "coulomb,viscous,offset"
@@ -146,6 +152,18 @@ def test_stiffness_of_each_joint_relative_to_the_first(run, tmp_path, stiffness)
     assert abs(value - ratio) < 4.0 * std < 0.1
 
 
+def test_a_stiffness_that_is_not_determined_is_that_of_joint_1():
+    """The second of two joints with parallel axes hardly loads the first: a light link."""
+    one, two = TWO_LINK.joints
+    light = replace(TWO_LINK, joints=(one, replace(two, link=0.01 * two.link)))
+    recording = commanded(measured(light, seconds=10.0), [Drive(stiffness=k) for k in (50.0, 80.0)])
+    robot = light.with_drives(Drive(stiffness=1.0, relative=True))
+    fit = identify_each_stiffness(lieid.Model(robot, EFFECTS), [recording], processing=CUTOFF)
+    text = next(str(w) for w in fit.warnings if "relative to that of joint 1" in str(w))
+    assert [law.stiffness for law in fit.model.robot.drives] == [1.0, 1.0]
+    assert text.endswith("not determined, and taken as that of joint 1: joint 2")
+
+
 def test_gains_of_commands_are_stiffnesses():
     payload = plant.Payload(mass=1.0, com=(0.0, 0.05, 0.0), radius=0.05)
     empty, full = (
@@ -158,3 +176,62 @@ def test_gains_of_commands_are_stiffnesses():
     np.testing.assert_allclose(gains.gains, [120.0, 50.0], rtol=0.03)
     assert gains.option is not None
     assert gains.option.startswith("--stiffness ")
+
+
+PENDULUM = """{name: pendulum, joints: [{name: lift, screw: [0, -1, 0, 0, 0, 0],
+  link: {mass: 1, com: [0.3, 0, 0], inertia: [0.01, 0, 0.02, 0, 0, 0.02]}}]}"""
+
+
+def lifted(law, *, gravity=9.81 * 0.3, inertia=0.11, dry=0.1, viscous=0.2):
+    """Return a recording of a pendulum whose servo trips while it holds the load (10 to 13 s)."""
+    t, h = np.arange(0.0, 24.0, 1e-3), 1e-3
+    command = -0.9 + 0.4 * np.sin(1.7 * t) + 0.3 * np.sin(4.1 * t)
+    command[(t > 10.0) & (t < 13.0)] = 0.0
+    q, dq, path, since, tripped = -0.9, 0.0, [], 0.0, False
+    for k, goal in enumerate(command):
+        asked = law.stiffness * (goal - q)
+        since = t[k] if abs(asked) <= law.overload else since
+        tripped = abs(asked) > law.protective_limit and (
+            tripped or t[k] - since >= law.overload_time
+        )
+        limit = law.protective_limit if tripped else np.inf
+        torque = np.clip(asked, -limit, limit) - (law.damping + viscous) * dq
+        path.append(q)
+        dq += h / inertia * (torque - gravity * np.cos(q) - dry * np.tanh(dq / 1e-2))
+        q += h * dq
+    rows = slice(None, None, 5)
+    return lieid.Recording.from_arrays(t[rows], np.array(path)[rows, None],
+                                       command=command[rows, None], name="lift.csv")  # fmt: skip
+
+
+def test_rows_of_a_servo_whose_overload_protection_acts_are_left_out(tmp_path):
+    """It acts a time after the overload began, until less than its own limit is asked for."""
+    law = Drive(stiffness=20.0, damping=1.0, overload=2.5, overload_time=1.0, protective_limit=0.8)
+    robot = lieid.Robot.parse_yaml(PENDULUM).with_drives(law)
+    recording = lifted(law)
+    unlimited = replace(law, overload=np.inf)
+    wrong, fit = (
+        lieid.identify(lieid.Model(robot.with_drives(own), EFFECTS), recording.with_drives([own]))
+        for own in (unlimited, law)
+    )
+    found = {row["name"]: row["value"] for row in fit.parameter_table()}
+    assert found["mcx"] == pytest.approx(0.3, rel=0.02)
+    assert found["coulomb.f_c"] == pytest.approx(0.1, rel=0.05)
+    assert fit.rms_train[0] < 0.1 < 2.0 < wrong.rms_train[0]
+    assert not [w for w in wrong.warnings if isinstance(w, DriveProtectionWarning)]
+    (warning,) = [str(w) for w in fit.warnings if isinstance(w, DriveProtectionWarning)]
+    start, end = re.search(r"joint 1 .*: (\S+) to (\S+) s", warning).groups()
+    assert (float(start), float(end)) == pytest.approx((11.4, 13.2), abs=0.1)
+    fit.save(tmp_path / "fit.json")
+    assert lieid.Fit.load(tmp_path / "fit.json").model.robot.drives == (law,)
+
+
+def test_grippers_of_lerobot_have_a_lower_overload():
+    """Of the full torque: 25 % for 2 s, then 20 %, and the arm's servos 80 %."""
+    t, error, still = np.arange(0.0, 4.0, 0.01), np.full(400, 0.15), np.zeros(400)
+    assert not lieid.servo_drive("sts3215").protected(t, error, still).any()
+    gripper = lieid.servo_drive("sts3215_gripper")
+    np.testing.assert_array_equal(gripper.protected(t, error, still), t >= 2.0)
+    assert not gripper.protected(t, 0.5 * error, still).any()
+    low = commanded_torque([gripper], t, error[:, None], still[:, None])[-1, 0]
+    assert low == pytest.approx(0.2 * 1.91)

@@ -67,7 +67,7 @@ def usable_rows(model: Model, segment: Processed) -> NDArray[np.bool_]:
     """
     dry, late = has_dry_friction(model), np.zeros(model.n, dtype=bool)
     late[[p.joint for p in model.placements if isinstance(p.effect, CommandDelay)]] = True
-    usable = segment.filtered_moving | ~dry
+    usable = segment.filtered_moving | ~dry & segment.filtered_mask(segment.by_law)
     if (dry & late).any():
         usable &= segment.away_from_reversals(REVERSAL / segment.cutoff) | ~(dry & late)
     return usable
