@@ -141,7 +141,7 @@ def _capsule(row: Field, robot: Robot) -> Capsule:
 
 
 @dataclass(frozen=True, eq=False)
-class _UrdfModel:
+class UrdfModel:
     """A URDF in Pinocchio, whose joints have one coordinate each and no limits."""
 
     root: ElementTree.Element
@@ -151,7 +151,7 @@ class _UrdfModel:
     links: dict[str, int]
 
     @classmethod
-    def of(cls, robot: Robot) -> _UrdfModel | None:
+    def of(cls, robot: Robot) -> UrdfModel | None:
         """Return the model of a robot's URDF; None if it has none that Pinocchio reads."""
         import pinocchio as pin
 
@@ -179,12 +179,22 @@ class _UrdfModel:
         """Return the link (0 for the base) that a joint of the reduced model moves."""
         return self.links.get(self.reduced.names[joint], 0)
 
+    def shapes(self, text: str, kind: Any, folders: list[str]) -> list[tuple[int, Any]]:
+        """Return the shapes of a kind, and their links; raises what Pinocchio does."""
+        import pinocchio as pin
+
+        with silenced():
+            every = pin.buildGeomFromUrdfString(self.full, text, kind, None, folders)
+        neutral = pin.neutral(self.full)
+        _, [geometry] = pin.buildReducedModel(self.full, [every], self.locked, neutral)
+        return [(self.link_of(g.parentJoint), g) for g in geometry.geometryObjects]
+
 
 def fixed_frames(robot: Robot) -> list[tuple[str, int, Array]]:
     """Return name, link (from 1) and origin (3,) of every moving link frame of a URDF, m."""
     import pinocchio as pin
 
-    model = _UrdfModel.of(robot)
+    model = UrdfModel.of(robot)
     if model is None:
         return []
     return [
@@ -198,7 +208,7 @@ def collision_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
     """Return the collision geometry of a URDF, and the names of links of unknown shape."""
     import pinocchio as pin
 
-    model = _UrdfModel.of(robot)
+    model = UrdfModel.of(robot)
     if model is None:
         return (), ()
     shapes: list[Shape] = []
@@ -208,19 +218,13 @@ def collision_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
         if link.find("collision") is None:
             unknown += [name] if link.find("visual") is not None else []
             continue
+        text, kind = _with_shapes_of(model.root, name), pin.GeometryType.COLLISION
         try:
-            with silenced():
-                every = pin.buildGeomFromUrdfString(
-                    model.full, _with_shapes_of(model.root, name), pin.GeometryType.COLLISION,
-                    None, _package_folders(),
-                )  # fmt: skip
+            placed = model.shapes(text, kind, package_folders())
         except (ValueError, RuntimeError):
             unknown.append(name)
             continue
-        _, [geometry] = pin.buildReducedModel(
-            model.full, [every], model.locked, pin.neutral(model.full)
-        )
-        shapes += [_shape(model.link_of(g.parentJoint), g) for g in geometry.geometryObjects]
+        shapes += [_shape(link, shape) for link, shape in placed]
     return tuple(shapes), tuple(unknown)
 
 
@@ -235,14 +239,11 @@ def _with_shapes_of(root: ElementTree.Element, name: str) -> str:
     return ElementTree.tostring(copy, encoding="unicode")
 
 
-def _package_folders() -> list[str]:
+def package_folders() -> list[str]:
+    """Return the folders in which ROS looks for packages."""
     stated = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    stated += [
-        str(Path(prefix) / "share")
-        for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-        if prefix
-    ]
-    return [folder for folder in stated if folder]
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    return [*(f for f in stated if f), *(f"{p}/share" for p in prefixes if p)]
 
 
 def _shape(link: int, placed: Any) -> Shape:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.excitation.limits import link_poses
-from lieid_casadi.excitation.links import capsules_of
+from lieid_casadi.excitation.links import UrdfModel, capsules_of, package_folders
 from lieid_casadi.expressions.frames import homogeneous
 from lieid_casadi.robot import Robot
 
@@ -114,26 +113,24 @@ def visual_meshes(robot: Robot, file: str) -> list[ArmMesh]:
     """
     import pinocchio as pin
 
-    source = robot.source
-    if source is None or source.kind != "urdf" or "<mesh" not in source.text:
+    model = UrdfModel.of(robot)
+    if model is None or robot.source is None or "<mesh" not in robot.source.text:
         return []
-    full = pin.buildModelFromXML(source.text)
+    folder = Path(file).absolute().parent
+    near = [str(folder), *map(str, list(folder.parents)[:PARENTS])]
     try:
-        shapes = pin.buildGeomFromUrdfString(
-            full, source.text, pin.GeometryType.VISUAL, None, _folders(file)
+        shapes = model.shapes(
+            robot.source.text, pin.GeometryType.VISUAL, [*near, *package_folders()]
         )
     except (ValueError, RuntimeError) as error:
         logger.info("meshes of %s: %s", robot.name, " ".join(str(error).split()))
         return []
-    links = {joint.name: k + 1 for k, joint in enumerate(robot.joints)}
-    locked = [full.getJointId(name) for name in list(full.names)[1:] if name not in links]
-    reduced, [geometry] = pin.buildReducedModel(full, [shapes], locked, pin.neutral(full))
     meshes = []
-    for shape in geometry.geometryObjects:
+    for link, shape in shapes:
         triangles = _triangles(shape)
         if triangles is None or not np.isfinite(triangles).all():
             return []  # primitive or damaged shapes; the capsules show the arm
-        meshes.append((links.get(reduced.names[shape.parentJoint], 0), triangles))
+        meshes.append((link, triangles))
     if sum(len(triangles) for _, triangles in meshes) > MOST_TRIANGLES:
         return []
     return [ArmMesh(link, stl_bytes(triangles)) for link, triangles in meshes]
@@ -162,12 +159,3 @@ def _triangles(shape: Any) -> Array | None:
     rotation, origin = np.array(shape.placement.rotation), np.array(shape.placement.translation)
     points = np.array(geometry.vertices()) @ rotation.T + origin
     return np.asarray(points[corners.reshape(-1)].reshape(-1, 3, 3))
-
-
-def _folders(file: str) -> list[str]:
-    """Return the folders in which packages are looked for."""
-    folder = Path(file).absolute().parent
-    near = [str(folder), *(str(p) for p in list(folder.parents)[:PARENTS])]
-    stated = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    return [*near, *(f for f in stated if f), *(f"{p}/share" for p in prefixes if p)]

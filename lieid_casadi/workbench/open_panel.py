@@ -15,7 +15,7 @@ from nicegui import ui
 from nicegui.events import UploadEventArguments
 
 from lieid_casadi.recording.conversion import ANGLE_UNITS
-from lieid_casadi.recording.readers.columns import COMMANDED, OTHERS, TIMES, WORDS
+from lieid_casadi.recording.readers.columns import TIMES, prefix_of
 from lieid_casadi.recording.sample_timing import TIME_UNITS
 from lieid_casadi.workbench.elements import View, button, icon_button, named, text
 from lieid_casadi.workbench.session import RecordingInput, Role, WorkbenchInputs, upload_file
@@ -331,16 +331,11 @@ def proposed_columns(patterns: list[str]) -> dict[str, str]:
     """
     found: dict[str, str] = {}
     for pattern in patterns:
-        words = _words(pattern) - DEGREES
-        prefixes = [prefix for prefix, known in WORDS.items() if words & known]
+        name = prefix_of(_words(pattern) - DEGREES)
         if "_".join(w for w in pattern.lower().split("_") if w not in TIME_UNITS) in TIMES:
             found.setdefault("t", pattern)
-        elif len(prefixes) == 1 and not words & OTHERS:
-            name = prefixes[0]
-            if words & COMMANDED:
-                name = "qcmd" if name == "q" else ""
-            if name in SIGNALS:
-                found.setdefault(name, pattern)
+        elif name in SIGNALS:
+            found.setdefault(name, pattern)
     return found
 
 

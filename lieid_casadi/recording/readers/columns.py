@@ -154,17 +154,22 @@ def _signal(name: str, joint_names: Sequence[str]) -> tuple[str, int, bool] | No
             break
     words = set(re.findall(r"[a-z]+", text))
     numbers = re.findall(r"[0-9]{1,6}", text)
-    prefixes = [prefix for prefix, known in WORDS.items() if words & known]
-    if len(prefixes) != 1 or words & OTHERS:
+    prefix = prefix_of(words)
+    if prefix is None:
         return None
-    prefix = prefixes[0]
-    if words & COMMANDED:
-        if prefix != "q":
-            return None
-        prefix = "qcmd"
     if joint is not None:
         return (prefix, joint, False) if not numbers else None
     return (prefix, int(numbers[0]), True) if len(numbers) == 1 else None
+
+
+def prefix_of(words: set[str]) -> str | None:
+    """Return the prefix of the signal that the words of a column's name mean."""
+    prefixes = [prefix for prefix, known in WORDS.items() if words & known]
+    if len(prefixes) != 1 or words & OTHERS:
+        return None
+    if words & COMMANDED:
+        return "qcmd" if prefixes == ["q"] else None
+    return prefixes[0]
 
 
 REMEDY = "other names are stated by --columns NAME=COLUMN,… (columns= in Python)"
