@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import lieid_casadi as lieid
-from lieid_casadi import plant
-from lieid_casadi.comparison import plot_style
+from lieid_casadi import plant, plot_style
 from lieid_casadi.effects import LIBRARY
 from lieid_casadi.effects.description import formula_html
 from lieid_casadi.effects.registry import make

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lieid_casadi import plot_style
 from lieid_casadi.arrays import Array
-from lieid_casadi.comparison import plot_style
 from lieid_casadi.comparison.series import Series
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ PER_INTERVAL = 40  # samples, if that gives more than the fewest intervals
 FEWEST_SAMPLES = 5  # of an interval with a mean
 FEW_POINTS = 600  # up to this number, points are drawn larger
 SHOWN = 99.5  # per cent of the errors that are inside the axes
+LONGEST_NAME = 22  # characters of a joint's name
 LABEL_WIDTH = 30  # characters of a line of the legend
 DIRECTIONS = ((1.0, plot_style.FORWARD), (-1.0, plot_style.BACKWARD), (0.0, plot_style.REST))
 
@@ -68,8 +69,7 @@ def plot_joint(
     series: Sequence[Series], joint: int, label: JointLabel, ax: Axes | None = None
 ) -> Figure:
     """Plot measured torque, predicted torque and error of one joint (from 0)."""
-    if ax is None:
-        ax = plot_style.new_figure(9.0, 3.2).subplots()
+    figure, ax = plot_style.drawing(ax, 9.0, 3.2)
     _draw_torque(series, joint, ax)
     _draw_error(series, joint, ax)
     plot_style.title(ax, f"joint {label.name}: {label.error}")
@@ -80,7 +80,7 @@ def plot_joint(
         ["measured", "predicted", "error"],
     )
     ax.legend(handles, names, loc="best", ncols=3, fontsize=plot_style.SMALL, framealpha=0.8)
-    return plot_style.root_figure(ax)
+    return figure
 
 
 def _clock(series: Sequence[Series]) -> tuple[list[Array], str]:
@@ -160,7 +160,7 @@ def _draw_row(
                 "-o", color=colour, linewidth=1.8, markersize=2.5, zorder=3,
             )  # fmt: skip
     axes[0].set_ylim(-1.1 * limit, 1.1 * limit)
-    name = plot_style.shortened(label.name)
+    name = plot_style.plain(plot_style.shortened(label.name, LONGEST_NAME))
     plot_style.label(axes[0], x="rad" if turns else "m", y=f"joint {name}\nerror [{label.unit}]")
     plot_style.label(axes[1], x="rad/s" if turns else "m/s")
     plot_style.label(axes[2], x=label.unit)
@@ -208,16 +208,10 @@ def draw_errors(
     ``recordings`` are those on which the errors were measured: ``test``.
     """
     from matplotlib import colormaps
-    from matplotlib.figure import Figure
 
     colours = colormaps["viridis"]
     joints = len(series[0]) if series else 0
-    figure: Figure
-    if ax is None:
-        figure = Figure(figsize=(3.6 + 1.2 * joints, 3.6), layout="constrained")
-        ax = figure.add_subplot()
-    else:
-        figure = ax.get_figure(root=True)  # type: ignore[assignment]
+    figure, ax = plot_style.drawing(ax, 3.6 + 1.2 * joints, 3.6)
     width = 0.8 / max(len(series), 1)
     for k, values in enumerate(series):
         at = np.arange(joints) - 0.4 + (k + 0.5) * width

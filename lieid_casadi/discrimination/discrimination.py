@@ -14,6 +14,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.excitation.trajectory import MotionSamples, Trajectory, csv_text, period_grid
 from lieid_casadi.model import Model
 from lieid_casadi.output_folder import write_folder
+from lieid_casadi.plot_style import drawing
 from lieid_casadi.tables import html
 
 if TYPE_CHECKING:
@@ -115,10 +116,7 @@ class Discrimination:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the torque that each rival's refit leaves on the joint where it is largest."""
-        from matplotlib.figure import Figure
-
-        if ax is None:
-            ax = Figure(figsize=(9.0, 3.5), layout="constrained").add_subplot()
+        figure, ax = drawing(ax, 9.0, 3.5)
         for pair in self.pairs:
             if pair.separable:
                 j = int(np.argmax(np.square(pair.residual).sum(axis=0)))
@@ -131,9 +129,7 @@ class Discrimination:
             f"{self.seconds:.4g} s separate them with {100.0 * self.level:.4g} % confidence"
         )
         ax.legend(fontsize="small")
-        drawn = ax.get_figure(root=True)
-        assert drawn is not None
-        return drawn
+        return figure
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
         """Write ``trajectory.csv`` (one period), ``discriminate.json``, ``discriminate.png``.

@@ -40,6 +40,7 @@ from lieid_casadi.excitation.trajectory import (
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.output_folder import write_folder
+from lieid_casadi.plot_style import drawing
 from lieid_casadi.robot import Robot
 from lieid_casadi.tables import html
 
@@ -314,10 +315,7 @@ class Excitation:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the positions of all joints within their limits and return the figure."""
-        from matplotlib.figure import Figure
-
-        if ax is None:
-            ax = Figure(figsize=(9.0, 5.0), layout="constrained").subplots()
+        figure, ax = drawing(ax, 9.0, 5.0)
         motion = self.trajectory.at(np.linspace(0.0, self.duration, PLOTTED))
         plot_positions(motion, self.model.robot, ax)
         ax.set_title(
@@ -325,9 +323,7 @@ class Excitation:
             f"{self.duration:.4g} s; grey: range of the joint",
             parse_math=False,  # "$" in a robot's name is no formula
         )
-        drawn = ax.get_figure(root=True)
-        assert drawn is not None
-        return drawn
+        return figure
 
     def save(self, folder: str | Path, *, force: bool = False) -> tuple[Path, ...]:
         """Write trajectory, JSON, plot and text into a folder; return the files.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lieid_casadi.diagnosis import Diagnosis
 from lieid_casadi.experiments.purpose import Group, Purpose
+from lieid_casadi.plot_style import drawing
 from lieid_casadi.tables import Table, html, make_table
 
 if TYPE_CHECKING:
@@ -120,14 +121,7 @@ class Experiment:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw each joint's held-out error relative to its noise over the rounds; not shown."""
-        from matplotlib.figure import Figure
-
-        figure: Figure
-        if ax is None:
-            figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-            ax = figure.add_subplot()
-        else:
-            figure = ax.get_figure(root=True)  # type: ignore[assignment]
+        figure, ax = drawing(ax, 7.0, 4.0)
         names = [str(each.number or "given") for each in self.rounds]
         for j in range(len(self.rounds[0].error) if self.rounds else 0):
             for style, what in (("--", "first_error"), ("-", "error")):

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.comparison.plot_style import ERROR as ERROR_COLOUR
-from lieid_casadi.comparison.plot_style import GRID, SMALL, new_figure, title
 from lieid_casadi.fleet.alarms import Alarm, advice, read_alarms
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.judging import outlier_table, outliers
+from lieid_casadi.plot_style import ERROR as ERROR_COLOUR
+from lieid_casadi.plot_style import GRID, SMALL, new_figure, title
 from lieid_casadi.report import Section, data_uri, render
 from lieid_casadi.report.page import table_section
 from lieid_casadi.tables import Table, make_table

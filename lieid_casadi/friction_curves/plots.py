@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lieid_casadi import plot_style
 from lieid_casadi.arrays import Array
-from lieid_casadi.comparison import plot_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,12 +28,11 @@ def plot_friction(
 ) -> Figure:
     """Draw speeds, friction, standard errors and loads (G,) as points; return the figure."""
     speed, friction, std, load = points
-    if ax is None:
-        ax = plot_style.new_figure(7.0, 4.2).subplots()
+    figure, ax = plot_style.drawing(ax, 7.0, 4.2)
     plot_style.style(ax)
     ax.errorbar(speed, friction, std, fmt="none", ecolor=plot_style.MEASURED, zorder=2)
     cloud = ax.scatter(speed, friction, c=load, cmap=COLOURS, s=16, zorder=3, vmin=0.0)
-    bar = plot_style.root_figure(ax).colorbar(cloud, ax=ax)
+    bar = figure.colorbar(cloud, ax=ax)
     bar.set_label(f"|τ_load| [{unit}]", fontsize=plot_style.SMALL)
     bar.ax.tick_params(labelsize=plot_style.SMALL)
     if model is not None:
@@ -47,4 +46,4 @@ def plot_friction(
     ax.set_xlim(left=0.0)
     if friction.min() > 0.0:
         ax.set_ylim(bottom=0.0)
-    return plot_style.root_figure(ax)
+    return figure

@@ -30,6 +30,7 @@ from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.payload.identify import require_one_load
+from lieid_casadi.plot_style import drawing
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot import Robot
@@ -144,20 +145,14 @@ class DriveGains:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the gains with their 95 % intervals and return the figure."""
-        from matplotlib.figure import Figure
-
-        if ax is None:
-            figure = Figure(figsize=(1.6 + 0.8 * self.robot.n, 3.2), layout="constrained")
-            ax = figure.subplots()
+        figure, ax = drawing(ax, 1.6 + 0.8 * self.robot.n, 3.2)
         places = np.arange(1, self.robot.n + 1)
         ax.errorbar(places, self.gains, NORMAL * self.std, fmt="o", capsize=4)
         ax.set_xticks(places)
         ax.set_xlabel("joint")
         ax.set_ylabel(f"drive gain, N·m/{self.per}")
         ax.set_ylim(bottom=min(0.0, float(np.nanmin(self.gains, initial=0.0))))
-        drawn = ax.get_figure(root=True)
-        assert drawn is not None
-        return drawn
+        return figure
 
     def _repr_html_(self) -> str:
         return html(gain_table(self))

@@ -27,6 +27,7 @@ from lieid_casadi.identification.regression.least_squares import Conditioning
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model, Parameter
+from lieid_casadi.plot_style import drawing
 from lieid_casadi.recording.processed import Processed, Processing
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.robot.inertia import pseudo_inertia
@@ -350,12 +351,8 @@ def parameter_table(fit: Fit) -> Table:
 
 def plot_sizes(labels: Sequence[str], sizes: Array, ax: Axes | None = None) -> Figure:
     """Draw the |value| of parameters in standard deviations, largest first; return the figure."""
-    from matplotlib.figure import Figure
-
     order = np.argsort(-sizes)
-    if ax is None:
-        figure = Figure(figsize=(7.0, 0.18 * len(order) + 1.2), layout="constrained")
-        ax = figure.subplots()
+    figure, ax = drawing(ax, 7.0, 0.18 * len(order) + 1.2)
     places = np.arange(len(order))
     ax.barh(places, sizes[order], color="tab:blue")
     ax.axvline(3.0, color="0.4", linewidth=1.0, linestyle="--")
@@ -364,6 +361,4 @@ def plot_sizes(labels: Sequence[str], sizes: Array, ax: Axes | None = None) -> F
     ax.set_xscale("symlog", linthresh=1.0)
     ax.invert_yaxis()
     ax.set_xlabel("|value| / standard deviation (dashed: 3)")
-    drawn = ax.get_figure(root=True)
-    assert drawn is not None
-    return drawn
+    return figure

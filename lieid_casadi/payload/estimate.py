@@ -13,6 +13,7 @@ from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.payload.body import NAMES, UNITS
+from lieid_casadi.plot_style import drawing
 from lieid_casadi.tables import Table, figures, html, make_table
 
 if TYPE_CHECKING:
@@ -168,12 +169,8 @@ class PayloadEstimate:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the error of each joint with and without the payload and return the figure."""
-        from matplotlib.figure import Figure
-
         places = np.arange(len(self.joint_names))
-        if ax is None:
-            size = (1.6 + 0.9 * len(places), 3.4)
-            ax = Figure(figsize=size, layout="constrained").subplots()
+        figure, ax = drawing(ax, 1.6 + 0.9 * len(places), 3.4)
         ax.bar(places - 0.2, self.rms_before, 0.38, color="0.7", label="fit alone")
         ax.bar(places + 0.2, self.rms_after, 0.38, color="tab:blue", label="with the payload")
         ax.hlines(
@@ -185,9 +182,7 @@ class PayloadEstimate:
         ax.set_ylabel("RMS error, N·m")
         ax.set_title(self.sentence, fontsize=8, wrap=True)
         ax.legend(fontsize=8)
-        drawn = ax.get_figure(root=True)
-        assert drawn is not None
-        return drawn
+        return figure
 
     def _repr_html_(self) -> str:
         reasons = [f"* {names}: {reason}." for names, reason in not_identified(self)]

@@ -23,6 +23,7 @@ from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
+from lieid_casadi.plot_style import drawing
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.simulation.integration import Input
@@ -134,11 +135,7 @@ class Simulation:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the RMS drift of each joint, and that of the nominal model; return the figure."""
-        from matplotlib.figure import Figure
-
-        if ax is None:
-            size = 1.8 + 0.9 * len(self.joint_names), 3.4
-            ax = Figure(figsize=size, layout="constrained").subplots()
+        figure, ax = drawing(ax, 1.8 + 0.9 * len(self.joint_names), 3.4)
         places = np.arange(1, len(self.joint_names) + 1)
         if self.nominal is not None:
             ax.plot(places, np.degrees(self.nominal.rms), "o", mfc="none", label="nominal model")
@@ -147,9 +144,7 @@ class Simulation:
         ax.set(yscale="log", xticks=places, xlabel="joint")
         ax.set_ylabel(f"RMS drift after {self.window:g} s, deg")
         ax.legend(fontsize="small")
-        drawn = ax.get_figure(root=True)
-        assert drawn is not None
-        return drawn
+        return figure
 
     def _repr_html_(self) -> str:
         return html(drift_table(self))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from markupsafe import Markup
 from nicegui import ui
 
-from lieid_casadi.comparison.plot_style import BACKWARD, FORWARD
 from lieid_casadi.effects import Effect
 from lieid_casadi.effects.description import describe, formula_html
 from lieid_casadi.effects.registry import REGISTER, make
+from lieid_casadi.plot_style import BACKWARD, FORWARD
 from lieid_casadi.tables import figures
 from lieid_casadi.workbench.elements import (
     Parts,

@@ -12,7 +12,7 @@ from nicegui import ui
 from nicegui.element import Element
 
 from lieid_casadi.comparison.comparison import AS_NOISE, BEYOND_NOISE
-from lieid_casadi.comparison.plot_style import BACKWARD, ERROR, FORWARD, MEASURED, PREDICTED, REST
+from lieid_casadi.plot_style import BACKWARD, ERROR, FORWARD, MEASURED, PREDICTED, REST
 from lieid_casadi.workbench.workbench import Workbench
 
 E = TypeVar("E", bound=Element)

@@ -8,8 +8,8 @@ import numpy as np
 from markupsafe import Markup
 from nicegui import ui
 
-from lieid_casadi.comparison.plot_style import ERROR, MEASURED, PREDICTED, envelope
 from lieid_casadi.comparison.series import Series
+from lieid_casadi.plot_style import ERROR, MEASURED, PREDICTED, envelope, shortened
 from lieid_casadi.tables import MISSING, figures, html
 from lieid_casadi.workbench.elements import (
     BAND,
@@ -31,6 +31,7 @@ from lieid_casadi.workbench.evaluation import difference_tables, series_of
 from lieid_casadi.workbench.session import ModelStep, Numbers, StepErrors
 from lieid_casadi.workbench.workbench import Workbench
 
+LONGEST_TITLE = 26  # characters of a model's title
 SMALL_COLUMNS = 150  # of the plot of one joint in the overview
 HEADINGS = {
     "held out": "RMS error in motion, cross-validated (no test)",
@@ -291,7 +292,11 @@ def _waterfall(
     for k, (title, color, errors) in enumerate(models):
         values = playing if k == 1 and playing is not None else errors.shown
         bars.append(
-            {"name": _shortened(title), "color": color, "errors": relative(values, first.shown)}
+            {
+                "name": shortened(title, LONGEST_TITLE),
+                "color": color,
+                "errors": relative(values, first.shown),
+            }
         )
     return {
         "models": bars,
@@ -299,7 +304,3 @@ def _waterfall(
         "noise": relative(last.noise_floor, first.shown),
         "playing": playing is not None,
     }
-
-
-def _shortened(title: str, most: int = 26) -> str:
-    return title if len(title) <= most else title[: most - 1] + "…"

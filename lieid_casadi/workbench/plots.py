@@ -12,7 +12,6 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments, ValueChangeEventArguments
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.comparison.plot_style import envelope, thin
 from lieid_casadi.comparison.plots import binned_mean, intervals
 from lieid_casadi.comparison.series import (
     Series,
@@ -20,6 +19,7 @@ from lieid_casadi.comparison.series import (
     residual_spectrum,
     strongest_at,
 )
+from lieid_casadi.plot_style import envelope, thin
 from lieid_casadi.tables import figures
 from lieid_casadi.workbench.elements import Chart, View, button, named, set_text, text
 from lieid_casadi.workbench.evaluation import series_of

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 import lieid_casadi as lieid
-from lieid_casadi.comparison import plot_style
+from lieid_casadi import plot_style
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.comparison.comparison import NUMBERS, verdict
 from lieid_casadi.comparison.series import (

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from lieid_casadi.comparison.plot_style import BACKWARD, ERROR, FORWARD, MEASURED, PREDICTED
+from lieid_casadi.plot_style import BACKWARD, ERROR, FORWARD, MEASURED, PREDICTED
 from lieid_casadi.workbench.elements import COMPARED, FIRST, SCALE, ratio_colour
 
 # Machado, Oliveira and Fernandes, IEEE TVCG 15(6), 2009: severity 1, on linear RGB

@@ -31,14 +31,16 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained", facecolor="white")
 
 
-def root_figure(ax: Axes) -> Figure:
-    """Return the figure that contains the axes, also if they are in a subfigure."""
+def drawing(ax: Axes | None, width: float, height: float) -> tuple[Figure, Axes]:
+    """Return axes, new ones if None are given, and their figure, also if in a subfigure."""
     from matplotlib.figure import Figure
 
+    if ax is None:
+        ax = new_figure(width, height).subplots()
     figure = ax.figure
     while not isinstance(figure, Figure):
         figure = figure.figure
-    return figure
+    return figure, ax
 
 
 def style(ax: Axes) -> None:
@@ -73,9 +75,9 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def shortened(text: str, most: int = 22) -> str:
+def shortened(text: str, most: int) -> str:
     """Return text of at most ``most`` characters."""
-    return plain(text if len(text) <= most else text[: most - 1] + "…")
+    return text if len(text) <= most else text[: most - 1] + "…"
 
 
 def envelope(x: Array, y: Array, columns: int = MOST_COLUMNS) -> tuple[Array, Array]:
