@@ -17,6 +17,7 @@ from lieid_casadi.compiled import compile
 from lieid_casadi.discrimination import discriminate
 from lieid_casadi.discrimination.motion_search import feasible_motions
 from lieid_casadi.discrimination.rival_effects import fitted_numbers
+from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import EffectError, LieidError, NoSolution
 from lieid_casadi.excitation import excite, friction_sweep
 from lieid_casadi.excitation.checks import verify
@@ -41,6 +42,7 @@ LEAST_SECONDS = 5.0  # of a motion beside the probe
 WORTH = 0.4  # of an excitation: ln of the factor by which it lowers standard deviations
 LEAST_INFORMATION = 1e-9  # relative to that of an excitation
 SWEEP_SPEEDS = (0.03, 0.15, 0.6)  # of the velocity limit
+CREEP_SPEEDS = (0.005, 0.02, 0.1)  # the same, near standstill
 SWEEP_SECONDS = (1.0, 0.7)  # at each speed and direction, that are tried
 
 
@@ -143,12 +145,12 @@ class MotionDesign:
         if purpose.kind == "rivals":
             assert fit is not None
             main, promise = self._separating(purpose.groups, fit, recordings, most, progress)
-        elif purpose.kind == "range":
-            fit = identify(self.model, recordings)  # shapes cannot be extrapolated
-            main, promise = self._ranging(purpose, number, fit, progress)
+        elif sweep := self._sweep(purpose, found, recordings):
+            main, promise, fit = sweep
         else:
+            drawn = 0 if purpose.kind == "temperature" else number  # the same motion each time
             main, promise, worth = self._informative(
-                found, recordings, purpose.seconds, number, progress
+                found, recordings, purpose.seconds, drawn, progress
             )
             if purpose.kind == "excitation" and worth < WORTH:
                 return None
@@ -216,25 +218,39 @@ class MotionDesign:
         )  # fmt: skip
         return design.motion(), f"Condition number {design.condition_number:.3g}."
 
-    def _ranging(
-        self, purpose: Purpose, number: int, fit: Fit, progress: Progress
-    ) -> tuple[MotionSamples, str]:
-        """Return runs of one joint at constant speeds, or an excitation of another seed."""
-        joints = {int(x) - 1 for signal in purpose.signals for x in re.findall(r"\d+$", signal)}
-        if len(joints) == 1:
-            (joint,) = joints
-            speeds = np.array(SWEEP_SPEEDS) * self.range.velocity[joint]
-            for seconds in SWEEP_SECONDS:
-                try:
-                    sweep = friction_sweep(
-                        fit, joint, speeds=speeds, seconds=seconds, **self._shared
-                    )
-                except NoSolution:
-                    continue  # shorter runs need less space
-                if sweep.motion.t[-1] <= self.seconds:
-                    count = len(sweep.parts) // 2
-                    return sweep.motion, f"{count} speeds of joint {joint + 1}, forward and back."
-        return self._exciting(fit, number, progress)
+    def _sweep(
+        self, purpose: Purpose, found: Fit | None, recordings: Sequence[Recording]
+    ) -> tuple[MotionSamples, str, Fit] | None:
+        """Return runs of one joint at constant speeds, if they show what is open on it alone.
+
+        They are slow ones, from rest, for an effect that acts near standstill: excitations pass
+        through its speeds in a few samples. The fit is that of the limits.
+        """
+        open_on = purpose.signals or tuple(label for (label,) in purpose.groups)
+        joints = {int(x) - 1 for name in open_on for x in re.findall(r"\d+$", name)}
+        if len(joints) != 1 or purpose.kind not in ("range", "evidence"):
+            return None
+        (joint,) = joints
+        limit, speeds = self.range.velocity[joint], SWEEP_SPEEDS
+        if purpose.kind == "evidence":
+            assert found is not None
+            speeds = CREEP_SPEEDS
+            scales = [velocity_scale(found, label, recordings) for label in open_on]
+            if max(scales) > speeds[-1] * limit:
+                return None
+        fit = identify(self.model, recordings)  # shapes cannot be extrapolated
+        for seconds in SWEEP_SECONDS:
+            try:
+                sweep = friction_sweep(
+                    fit, joint, speeds=np.array(speeds) * limit, seconds=seconds, **self._shared
+                )
+            except NoSolution:
+                continue  # shorter runs need less space
+            if sweep.motion.t[-1] <= self.seconds:
+                slowest, count = sweep.parts[0].speed, len(sweep.parts) // 2
+                text = f"{count} speeds of joint {joint + 1} from {slowest:.2g} rad/s, both ways."
+                return sweep.motion, text, fit
+        return None
 
     def _separating(
         self,
@@ -278,6 +294,14 @@ class MotionDesign:
                 f"{best.exact_seconds:.3g} s; {most} recordings of {self.seconds:.3g} s are left."
             )
         raise NoSolution(" ".join(dict.fromkeys(reasons)))
+
+
+def velocity_scale(fit: Fit, label: str, recordings: Sequence[Recording]) -> float:
+    """Return the speed below which an effect acts, rad/s; infinite if it acts at any speed."""
+    numbers = rival_sizes(fit, ("", label), recordings).get(label, [])
+    effect = place(label, fit.model.n)[0].effect
+    shapes = zip(effect.shapes, numbers[len(effect.coefficients) :], strict=False)
+    return min((value for shape, value in shapes if shape.resolved_by == "speed"), default=np.inf)
 
 
 def joined(first: MotionSamples, second: MotionSamples) -> MotionSamples:

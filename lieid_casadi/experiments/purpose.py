@@ -11,11 +11,17 @@ from lieid_casadi.diagnosis import Diagnosis
 from lieid_casadi.diagnosis.findings import difference_sentence
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.step import Step
+from lieid_casadi.effects.registry import make
 
 Group = tuple[str, ...]
-Kind = Literal["excitation", "rivals", "range", "evidence"]
+Kind = Literal["excitation", "temperature", "rivals", "range", "evidence"]
 
-TRIES = {"rivals": 2, "range": 1, "evidence": 1}  # motions for one open question at most
+#: motions for one open question at most
+TRIES = {"temperature": 2, "rivals": 2, "range": 1, "evidence": 1}
+COLD_AND_WARM = (
+    "No motion sets a temperature: record one motion with the arm cold and again after an hour of "
+    "work, and start from these recordings."
+)
 MOST_RIVALS = 4  # of one effect that a motion separates from it, nearest first
 
 
@@ -23,9 +29,10 @@ MOST_RIVALS = 4  # of one effect that a motion separates from it, nearest first
 class Purpose:
     """What a motion is for.
 
-    The kind is ``excitation`` (all parameters), ``rivals`` (to separate the effects of each group),
-    ``range`` (of ``signals``, where no effect describes the error) or ``evidence`` (for effects
-    that parts of the data do not show, or whose gain on held-out parts is not certain).
+    The kind is ``excitation`` (all parameters), ``temperature`` (as long an excitation as possible,
+    the same each time: joints warm up while they move), ``rivals`` (to separate the effects of each
+    group), ``range`` (of ``signals``, where no effect describes the error) or ``evidence`` (for
+    effects that parts of the data do not show, or whose gain on held-out parts is not certain).
     """
 
     kind: Kind
@@ -33,7 +40,7 @@ class Purpose:
     groups: tuple[Group, ...] = ()
     signals: tuple[str, ...] = ()  # with ``range``: such as ``dq2``
     why: str = ""  # one sentence
-    seconds: float = 0.0  # with ``evidence``: of motion like that so far, which should decide
+    seconds: float = 0.0  # of an excitation, which should decide
 
 
 def purposes(
@@ -52,14 +59,18 @@ def purposes(
     if diagnosis is None:
         return [Purpose("excitation", why="There is no recording yet.")]
     found = []
-    if not any(purpose.kind == "excitation" for purpose in asked):
-        why = "The recordings show less than an excitation of the same length would."
-        found.append(Purpose("excitation", why=why))
     tried = Counter((p.kind, frozenset(group)) for p in asked for group in p.groups)
 
     def new(kind: Kind, groups: Sequence[Group]) -> tuple[Group, ...]:
         return tuple(g for g in groups if tried[kind, frozenset(g)] < TRIES[kind])
 
+    if not any(purpose.kind == "excitation" for purpose in asked):
+        why = "The recordings show less than an excitation of the same length would."
+        found.append(Purpose("excitation", why=why))
+    if groups := new("temperature", [(label,) for label in warming(diagnosis)]):
+        text = ", ".join(label for (label,) in groups)
+        why = f"Perhaps due to temperature: {text}. Joints warm up along one long motion."
+        found.append(Purpose("temperature", groups, why=why, seconds=left))
     if groups := new("rivals", separable_groups(diagnosis)):
         text = "; ".join(" or ".join(group) for group in groups)
         found.append(Purpose("rivals", groups, why=f"The recordings do not separate {text}."))
@@ -68,7 +79,7 @@ def purposes(
         signals = tuple(dict.fromkeys(x for (joint,) in groups for x in signals_of[joint]))
         text = ", ".join(joint for (joint,) in groups)
         why = f"No effect of the library describes the error of {text} over {', '.join(signals)}."
-        found.append(Purpose("range", groups, signals, why))
+        found.append(Purpose("range", groups, signals, why, seconds=left))
     options = DiagnosisOptions()
     doubtful = {s.label: s.evidence.deviations for s in diagnosis.steps if _may_be_decided(s)}
     doubtful |= {
@@ -137,6 +148,24 @@ def undescribed(diagnosis: Diagnosis) -> dict[str, Group]:
     return found
 
 
+def warming(diagnosis: Diagnosis) -> list[str]:
+    """Return open effects of temperature, and joints whose error follows it or the time."""
+    steps = [s.label for s in diagnosis.steps if s.status != "named"]
+    steps += [label for label, _ in diagnosis.undecided]
+    return [label for label in steps if _is_thermal(label)] + [
+        f"joint {part.joint + 1}"
+        for part in diagnosis.unexplained
+        if {"t", f"temp{part.joint + 1}"} & set(part.depends_on)
+        or any(_is_thermal(label) for label, _ in part.candidates)
+    ]
+
+
+def _is_thermal(label: str) -> bool:
+    """Whether an effect acts by a temperature, or stands for one that is not measured."""
+    effect = make(label.partition(":")[0])
+    return "temperature" in (*effect.signals, effect.unless_measured)
+
+
 def remaining(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence for everything that is not named, explained or the same at all times."""
     parts = []
@@ -151,4 +180,6 @@ def remaining(diagnosis: Diagnosis) -> list[str]:
         elif step.status == "one_of":
             parts.append(f"{' or '.join(group)}: not separated.")
     parts += [difference_sentence(each) for each in diagnosis.differing]
+    if warming(diagnosis):
+        parts.append(COLD_AND_WARM)
     return parts + [f"Joint {part.joint + 1}: {part.relation}." for part in diagnosis.unexplained]

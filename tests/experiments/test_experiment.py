@@ -10,6 +10,7 @@ from experiments.arms import QUICK, ROBOT, arm, measured, recorder, sines
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.diagnosis import Difference, Rival
+from lieid_casadi.diagnosis.step import Unexplained
 from lieid_casadi.errors import NoSolution, OutputError, PremiseError, RecordError
 from lieid_casadi.experiments import motion
 from lieid_casadi.experiments.motion import MotionDesign
@@ -221,6 +222,22 @@ def test_an_effect_that_the_held_out_parts_do_not_decide_is_open(ambiguous):
     assert purposes(near, [excitation, need], recorded=10.0, left=6.0) == []
 
 
+def test_what_depends_on_temperature_gets_one_long_motion_twice(ambiguous):
+    """No motion sets a temperature: the reason states how to record the difference."""
+    (step,) = ambiguous.steps
+    warm = replace(step, label="warm_up:1", effect="warm_up")
+    error = Unexplained(1, 0.5, 2.0, ("t", "dq2"))
+    found = replace(ambiguous, steps=(warm,), unexplained=(error,))
+    needs = purposes(found, [Purpose("excitation")], recorded=10.0, left=40.0)
+    need = needs[0]
+    assert (need.kind, need.seconds) == ("temperature", 40.0)
+    assert need.groups == (("warm_up:1",), ("joint 2",))
+    assert purposes(found, [Purpose("excitation"), need], left=20.0)[0].kind == "temperature"
+    assert purposes(found, [Purpose("excitation"), need, need])[0].kind == "rivals"
+    assert any("arm cold and again" in sentence for sentence in remaining(found))
+    assert not any("arm cold and again" in sentence for sentence in remaining(ambiguous))
+
+
 def planned(design, purpose, fit, recordings, folder):
     return design.next(
         purpose, folder, fit, recordings, number=1, most=3, progress=lambda stage, done: None
@@ -264,6 +281,26 @@ def test_a_motion_for_a_shape_covers_speeds(design, ambiguous, tmp_path):
     for part in (0.03, 0.15, 0.6):
         steady = np.isclose(speed[:, 0], part * design.range.velocity[0], rtol=1e-6)
         assert steady.sum() > 80  # at 200 Hz
+
+
+def test_slow_runs_from_rest_show_friction_near_standstill(design, tmp_path):
+    """Stribeck friction of 0.012 rad/s: excitations pass it in a few samples of 5 ms."""
+    plain = plant.demo_arm(ROBOT, seed=3, hidden=None)
+    extra = float(plain.friction.coulomb[0])
+    robot = plain.with_effects(plant.Stribeck(0, extra=extra, velocity=0.012))
+
+    def recorded(motion, seed):
+        s, sensors = motion.samples, plant.demo_sensors(ROBOT, rate=200.0)
+        return plant.measure_along(robot, s.t, s.q, s.dq, s.ddq, sensors=sensors, seed=seed)
+
+    excitation = Purpose("excitation", seconds=10.0)
+    first = recorded(planned(design, excitation, None, [], tmp_path), 1)
+    before = lieid.diagnose(design.model, first)
+    assert before.steps == ()
+    purpose = Purpose("evidence", (("stribeck:1",),))
+    motion = planned(design, purpose, before.fit, [first], tmp_path)
+    after = lieid.diagnose(design.model, [first, recorded(motion, 2)])
+    assert [(step.label, step.status) for step in after.steps] == [("stribeck:1", "named")]
 
 
 @pytest.mark.slow
