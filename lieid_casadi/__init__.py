@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.2.0"
 
 __all__ = [
-    "CartesianSpeed", "Coefficient", "Comparison", "Compiled", "Diagnosis", "Discrimination",
-    "Drive", "DriveGains", "Effect", "Excitation", "Experiment", "Export", "Fit", "FrictionFit",
-    "Joint", "LieidError", "LieidWarning", "Limits", "Model", "Obstacle", "PayloadEstimate",
-    "PlannedMotion", "PremiseCheck", "Processing", "Recording", "Robot", "SelfCollision",
-    "Shape", "Signals", "Simulation", "SymbolicDynamics", "Torque", "Wall", "__version__",
-    "check", "compare", "compile", "default_limits", "diagnose", "discriminate", "drive_gains",
-    "effect", "excite", "experiment", "export", "extend", "floor", "friction", "identify",
-    "identify_payload", "predict", "register", "robots", "servo_drive", "simulate", "symbolic",
-    "workspace_box",
+    "Batch", "CartesianSpeed", "Coefficient", "Comparison", "Compiled", "Diagnosis",
+    "Discrimination", "Drive", "DriveGains", "Effect", "Excitation", "Experiment", "Export",
+    "Fit", "FrictionFit", "Joint", "LieidError", "LieidWarning", "Limits", "Model", "Obstacle",
+    "PayloadEstimate", "PlannedMotion", "PremiseCheck", "Processing", "Recording", "Robot",
+    "SelfCollision", "Shape", "Signals", "Simulation", "SymbolicDynamics", "Torque", "Wall",
+    "__version__", "check", "compare", "compile", "default_limits", "diagnose", "discriminate",
+    "drive_gains", "effect", "excite", "experiment", "export", "extend", "floor", "friction",
+    "identify", "identify_payload", "predict", "register", "robots", "servo_drive", "simulate",
+    "symbolic", "workspace_box",
 ]  # fmt: skip
 
 # where each name is defined; imported on first use, so that importing the package is quick
@@ -45,7 +45,7 @@ _HOME = {
         "premises": "PremiseCheck check",
         "recording": "Processing Recording",
         "robot": "Drive Joint Limits Robot servo_drive",
-        "simulation": "Simulation simulate",
+        "simulation": "Batch Simulation simulate",
     }.items()
     for name in names.split()
 }
@@ -89,6 +89,7 @@ if TYPE_CHECKING:
     from lieid_casadi.premises.findings import PremiseCheck
     from lieid_casadi.recording import Processing, Recording
     from lieid_casadi.robot import Drive, Joint, Limits, Robot, servo_drive
+    from lieid_casadi.simulation.integration import Batch
     from lieid_casadi.simulation.simulate import Simulation, simulate
 
 

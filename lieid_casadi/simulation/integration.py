@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -119,37 +120,37 @@ def delays_of(fit: Fit) -> Array:
     return delays
 
 
-def simulate_batch(
-    fits: Fit | Sequence[Fit],
-    q: ArrayLike,
-    dq: ArrayLike,
-    inputs: ArrayLike,
-    *,
-    interval: float,
-    history: int = 0,
-    under: Input | None = None,
-    threads: int | None = None,
-) -> tuple[Array, Array]:
-    """Integrate many motions at once, each with its own start, inputs and, if wanted, its own arm.
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Starts and inputs of W motions, for `lieid_casadi.simulate`.
 
-    The integrator is that of `simulate`, compiled to C that takes several motions per instruction.
-    The first call for a model compiles it, which takes seconds; it is kept in the user's cache.
-
-    ``fits``: one for all of W motions, or one for each, such as ``fit.sample(W)``: of one model,
-    with the same plays. ``q``, ``dq`` (W, n) are the start, rad and rad/s; ``inputs`` (T, W, n)
-    commanded positions, rad, or torques, N·m (``under``, by default commands if the robot has
-    drives), each held for an ``interval`` in s, of which the first ``history`` precede the start,
-    as delayed commands need. Delays that the fit states contain half of an interval. The
-    temperature is that of training.
-
-    Returns positions and velocities (T − history + 1, W, n) at the start and the end of each
-    interval; NaN once a motion has left every range.
-
-    ModelError: arrays of other shapes, fits of different models, or commands without drives.
+    Attributes
+    ----------
+    q, dq : (W, n)
+        Positions and velocities at the start, rad and rad/s.
+    inputs : (T, W, n)
+        Commanded positions, rad, or torques, N·m, each held for an ``interval``, s. Delays that a
+        fit states contain half of an interval.
+    interval : float
+    history : int
+        Number of inputs that precede the start, as delayed commands need.
     """
+
+    q: ArrayLike
+    dq: ArrayLike
+    inputs: ArrayLike
+    interval: float
+    history: int = 0
+
+
+def integrate_batch(
+    fits: Fit | Sequence[Fit], batch: Batch, under: Input | None, threads: int | None
+) -> tuple[Array, Array]:
+    """Return the motions of a batch: see `lieid_casadi.simulate`."""
     given = [fits] if isinstance(fits, Fit) else list(fits)
     first, n = given[0], given[0].model.n
-    start, speed, inputs = (np.asarray(x, dtype=float) for x in (q, dq, inputs))
+    start, speed, inputs = (np.asarray(x, dtype=float) for x in (batch.q, batch.dq, batch.inputs))
+    interval, history = batch.interval, batch.history
     windows = len(start)
     if inputs.ndim != 3 or not start.shape == speed.shape == inputs.shape[1:] == (windows, n):
         raise ModelError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from lieid_casadi.model import Model
 from lieid_casadi.plot_style import drawing
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
-from lieid_casadi.simulation.integration import Input
+from lieid_casadi.simulation.integration import Batch, Input, integrate_batch
 from lieid_casadi.simulation.play import LARGEST, Coordinates, plays_of
 from lieid_casadi.simulation.runs import (
     Run,
@@ -181,15 +181,38 @@ def drift_table(simulation: Simulation) -> Table:
     )
 
 
+@overload
 def simulate(
     fit: Fit,
     recordings: Recording | Sequence[Recording],
     *,
+    window: float = ...,
+    under: Input | None = ...,
+    progress: Callable[[str, float], None] | None = ...,
+) -> Simulation: ...
+
+
+@overload
+def simulate(
+    fit: Fit | Sequence[Fit],
+    *,
+    batch: Batch,
+    under: Input | None = ...,
+    threads: int | None = ...,
+) -> tuple[Array, Array]: ...
+
+
+def simulate(
+    fit: Fit | Sequence[Fit],
+    recordings: Recording | Sequence[Recording] = (),
+    *,
+    batch: Batch | None = None,
     window: float = 1.0,
     under: Input | None = None,
+    threads: int | None = None,
     progress: Callable[[str, float], None] | None = None,
-) -> Simulation:
-    """Integrate a fit from measured states, under the recordings' commands or torques.
+) -> Simulation | tuple[Array, Array]:
+    """Integrate a fit from measured states, under recordings' commands or torques, or a batch.
 
     Windows follow one another without overlap; each starts at the measured position and
     velocity. The whole of every segment is also simulated from its start. The integrator treats
@@ -197,21 +220,33 @@ def simulate(
     joint (`lieid_casadi.simulation.step`). Links with backlash move apart from their motors, whose
     inertia is the armature, and hit the sides of the play without rebound.
 
+    Motions of a ``batch`` start and are driven as its arrays state, with the temperature of
+    training, by the same steps compiled to C that takes several motions per instruction. The first
+    call for a model compiles it, which takes seconds; it is kept in the user's cache.
+
     Parameters
     ----------
-    fit : Fit
+    fit : Fit or sequence of Fit
+        For the W motions of a batch also one for each, such as ``fit.sample(W)``: of one model,
+        with the same plays.
     recordings : Recording or sequence of Recording
         With torques, or with commanded positions if the fit's robot has drives.
+    batch : Batch, optional
+        In place of recordings.
     window : float
         Length of the windows, s.
     under : {"command", "torque"}, optional
         The input; commands if the fit has a drive law and the recordings have commands.
+    threads : int, optional
+        For a batch; by default all of the machine.
     progress : callable, optional
         Called with a stage's name and the fraction done.
 
     Returns
     -------
-    Simulation
+    Simulation, or positions and velocities of a batch
+        Each (T − history + 1, W, n), at the start and the end of each interval; NaN once a motion
+        has left every range.
 
     Raises
     ------
@@ -219,8 +254,13 @@ def simulate(
         No segment has the length of a window.
     ModelError
         The recordings have neither input, or another number of joints; the mass matrix is not
-        positive definite.
+        positive definite; a batch has arrays of other shapes, fits of different models, or
+        commands without drives.
     """
+    if batch is not None:
+        return integrate_batch(fit, batch, under, threads)
+    if not isinstance(fit, Fit) or not recordings:
+        raise ModelError("expected one fit and recordings, or a batch")
     given, report = listed(recordings), progress or (lambda stage, fraction: None)
     if not (np.isfinite(window) and window > 0.0):
         raise ModelError(f"window is {window} s; expected a length above 0")

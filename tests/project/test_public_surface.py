@@ -15,7 +15,7 @@ from lieid_casadi.errors import ModelError, RecordingError
 from lieid_casadi.recording.recording import listed
 
 PUBLIC = {
-    "CartesianSpeed", "Coefficient", "Comparison", "Compiled",
+    "Batch", "CartesianSpeed", "Coefficient", "Comparison", "Compiled",
     "Diagnosis", "Discrimination", "Drive", "DriveGains", "Effect", "Excitation", "Experiment",
     "Export", "Fit", "FrictionFit", "Joint", "LieidError",
     "LieidWarning", "Limits", "Model", "Obstacle", "PayloadEstimate",

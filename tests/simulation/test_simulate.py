@@ -14,7 +14,7 @@ from lieid_casadi.compiled import kernels
 from lieid_casadi.errors import ModelError, RecordingError
 from lieid_casadi.exporters.mjcf import mjcf_text
 from lieid_casadi.robot.drive import Drive
-from lieid_casadi.simulation import polish, simulate_batch
+from lieid_casadi.simulation import polish
 from lieid_casadi.simulation.simulate import Drift
 
 ROBOT = lieid.robots.two_link().with_drives(Drive(stiffness=60.0, damping=4.0))
@@ -179,9 +179,10 @@ def test_a_batch_has_the_motion_of_the_windows_of_simulate():
     length = round(0.5 / np.diff(one.t)[0])
     starts = np.arange(0, len(one.t), length)
     rows = np.searchsorted(recording.t, one.t[starts] + 1e-9)[None] + np.arange(length)[:, None] - 1
-    q, dq = simulate_batch(
-        fit, one.q[starts], one.dq[starts], recording.command[rows], interval=1.0 / recording.rate
+    batch = lieid.Batch(
+        one.q[starts], one.dq[starts], recording.command[rows], 1.0 / recording.rate
     )
+    q, dq = lieid.simulate(fit, batch=batch)
     np.testing.assert_allclose(q[:-1].transpose(1, 0, 2).reshape(-1, 2), one.q, atol=2e-4)
     assert q.shape == dq.shape == (length + 1, len(starts), 2)
 
@@ -189,10 +190,10 @@ def test_a_batch_has_the_motion_of_the_windows_of_simulate():
 def test_without_a_compiler_the_motion_is_the_same(monkeypatch):
     fit, inputs = fit_of(BATCH_EFFECTS), inputs_of(20, 5)
     q = np.full((5, 2), 0.3)
-    compiled = simulate_batch(fit, q, 0 * q, inputs, interval=0.002)
+    compiled = lieid.simulate(fit, batch=lieid.Batch(q, 0 * q, inputs, 0.002))
     monkeypatch.setattr(kernels.CompilerFailure, "reason", "reported before")
     lieid.simulation.integration._STEPS.clear()
-    machine = simulate_batch(fit, q, 0 * q, inputs, interval=0.002)
+    machine = lieid.simulate(fit, batch=lieid.Batch(q, 0 * q, inputs, 0.002))
     lieid.simulation.integration._STEPS.clear()
     np.testing.assert_allclose(compiled, machine, rtol=0, atol=1e-12)
 
@@ -207,7 +208,7 @@ def test_delays_between_two_steps_act_in_proportion():
     ]
     q = np.full((3, 2), 0.3)
     inputs = np.repeat(moved, 3, axis=1)
-    path, _ = simulate_batch(fits, q, 0 * q, inputs, interval=0.002, history=10)
+    path, _ = lieid.simulate(fits, batch=lieid.Batch(q, 0 * q, inputs, 0.002, history=10))
     assert len(path) == 31
     first, middle, last = path[-1]
     assert np.abs(last - first).min() > 1e-6
@@ -217,12 +218,15 @@ def test_delays_between_two_steps_act_in_proportion():
 def test_shapes_and_models_that_do_not_fit_are_refused():
     fit, q = fit_of(BATCH_EFFECTS), np.zeros((3, 2))
     with pytest.raises(ModelError, match=r"expected \(W, 2\)"):
-        simulate_batch(fit, q, q, np.zeros((5, 2, 2)), interval=0.01)
+        lieid.simulate(fit, batch=lieid.Batch(q, q, np.zeros((5, 2, 2)), 0.01))
+    batch = lieid.Batch(q, q, np.zeros((5, 3, 2)), 0.01)
     with pytest.raises(ModelError, match="2 fits"):
-        simulate_batch([fit, fit], q, q, np.zeros((5, 3, 2)), interval=0.01)
+        lieid.simulate([fit, fit], batch=batch)
+    with pytest.raises(ModelError, match="or a batch"):
+        lieid.simulate(fit)
     bare = fit_of("coulomb", replace(ROBOT, joints=lieid.robots.two_link().joints))
     with pytest.raises(ModelError, match="need drives"):
-        simulate_batch(bare, q, q, np.zeros((5, 3, 2)), interval=0.01, under="command")
+        lieid.simulate(bare, batch=batch, under="command")
 
 
 EFFECTS = "coulomb,viscous,armature"
