@@ -94,6 +94,11 @@ def std_text(std: float | None) -> str | None:
     return None if std is None else f"{std:#.2g}".rstrip(".")
 
 
+def with_std(value: float, std: float | None) -> str:
+    """Return a value ± its standard deviation; the value alone without one."""
+    return value_text(value, std) + ("" if std is None else f" ± {std_text(std)}")
+
+
 def html(*parts: str | Table) -> str:
     """Return paragraphs and tables as HTML, as notebooks show them; all text is escaped.
 

@@ -11,12 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.compiled.batch_evaluation import (
-    BaseBlocks,
-    Evaluation,
-    evaluation_of,
-    states_along,
-)
+from lieid_casadi.compiled import batch_evaluation
 from lieid_casadi.compiled.kernels import Kernels
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.errors import ModelError
@@ -148,7 +143,7 @@ class Compiled:
         self.threads = default_threads() if threads is None else threads
         self._kernels = Kernels(self.functions, lanes)
         self._memory = Kernels(self.functions, lanes=1)
-        self._evaluations: dict[str, Evaluation] = {}
+        self._evaluations: dict[str, batch_evaluation.Evaluation] = {}
 
     @property
     def n(self) -> int:
@@ -198,7 +193,7 @@ class Compiled:
         part: Part = "base_regressor",
         size: int | None = None,
         **signals: Unpack[EffectSignals],
-    ) -> BaseBlocks:
+    ) -> batch_evaluation.BaseBlocks:
         """See `base_regressor`; in blocks of ``size`` samples, by default fitting in cache.
 
         ``part`` is the whole, or the columns of link parameters or of effects.
@@ -206,7 +201,7 @@ class Compiled:
         values = self._samples(q=q, dq=dq, ddq=ddq)
         if part != "base_links":
             values = self._signals(q, dq, ddq, signals, True)
-        return BaseBlocks(self._evaluation(part), values, size)
+        return batch_evaluation.BaseBlocks(self._evaluation(part), values, size)
 
     def effect_columns(
         self,
@@ -273,7 +268,7 @@ class Compiled:
                 raise ModelError(f"time: shape {time.shape}; expected ({count},)")
             values["time"] = time.reshape(count, 1)
         if self.model.states:
-            values["states"] = states_along(self._memory, values)
+            values["states"] = batch_evaluation.states_along(self._memory, values)
         return values
 
     def _samples(self, **signals: ArrayLike) -> dict[str, Array]:
@@ -302,12 +297,12 @@ class Compiled:
         evaluation.bind(apart).dense(matrices, self.threads if threads is None else threads)
         return result
 
-    def _evaluation(self, name: str) -> Evaluation:
+    def _evaluation(self, name: str) -> batch_evaluation.Evaluation:
         if name not in self._evaluations:
             self._evaluations[name] = self._make_evaluation(name)
         return self._evaluations[name]
 
-    def _make_evaluation(self, name: str) -> Evaluation:
+    def _make_evaluation(self, name: str) -> batch_evaluation.Evaluation:
         first_columns, shape = self._extent(name)
         parts = [
             (part, first)
@@ -315,7 +310,7 @@ class Compiled:
             if first < shape[1]  # a model without effects has no columns of theirs
         ]
         names, starts = [part for part, _ in parts], [first for _, first in parts]
-        return evaluation_of(self._kernels, names, starts, shape)
+        return batch_evaluation.evaluation_of(self._kernels, names, starts, shape)
 
     def _extent(self, name: str) -> tuple[tuple[int, ...], tuple[int, int]]:
         """Return the first column of each part, and the whole matrix's shape."""

@@ -11,18 +11,8 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExcitationError, NoSolution
+from lieid_casadi.excitation import criteria
 from lieid_casadi.excitation.checks import CONTROL_STEP, MARGIN, SINGULAR, default_limits
-from lieid_casadi.excitation.criteria import (
-    NAMES,
-    Criterion,
-    CriterionExpression,
-    CriterionName,
-    CriterionStage,
-    InformationMatrix,
-    LogDet,
-    design_model,
-    stages,
-)
 from lieid_casadi.excitation.ipopt import Objective, ObjectiveValue, SampledConstraints
 from lieid_casadi.excitation.limits import (
     ConstraintSet,
@@ -102,7 +92,9 @@ class ExcitationProblem:
         source: Model | Robot | IdentifiedModel,
         *,
         basis: Fourier,
-        criterion: CriterionName | CriterionExpression | Criterion = "combined",
+        criterion: criteria.CriterionName
+        | criteria.CriterionExpression
+        | criteria.Criterion = "combined",
         inertial_only: bool = False,
         limits: Sequence[Limit] | None = None,
         start_pose: ArrayLike | None = None,
@@ -112,10 +104,10 @@ class ExcitationProblem:
         condition_threshold: float | None = None,
         neg_log_det_threshold: float | None = None,
     ) -> None:
-        if isinstance(criterion, str) and criterion not in NAMES:
+        if isinstance(criterion, str) and criterion not in criteria.NAMES:
             raise ExcitationError(
-                f"criterion: {criterion!r}; expected one of {', '.join(NAMES)}, or a function of "
-                "the information matrix"
+                f"criterion: {criterion!r}; expected one of {', '.join(criteria.NAMES)}, or a "
+                "function of the information matrix"
             )
         if not 4 * basis.size <= samples <= MOST_SAMPLES:
             raise ExcitationError(
@@ -123,7 +115,7 @@ class ExcitationProblem:
                 f"coefficients per joint, and at most {MOST_SAMPLES}"
             )
         model, self.fit = model_and_fit(source)
-        self.model = Model(model.robot) if inertial_only else design_model(model)[0]
+        self.model = Model(model.robot) if inertial_only else criteria.design_model(model)[0]
         robot = self.model.robot
         self.basis, self.criterion, self.sample_count = basis, criterion, samples
         self.condition_threshold = condition_threshold
@@ -136,7 +128,7 @@ class ExcitationProblem:
         self.sets = (JointLimits(self.range), *sets_of(self.limits))
         self.pose = rest_pose(robot, self.range, self.sets, start_pose)
         self.parametrization = Parametrization(basis, self.pose, self.range.units)
-        self.information = InformationMatrix(
+        self.information = criteria.InformationMatrix(
             self.model, sign_width=SIGN_WIDTH * self.range.velocity, fit=self.fit
         )
 
@@ -147,9 +139,9 @@ class ExcitationProblem:
         return np.asarray(np.linalg.cholesky(base.combination @ base.combination.T))
 
     @cached_property
-    def stages(self) -> tuple[CriterionStage, ...]:
+    def stages(self) -> tuple[criteria.CriterionStage, ...]:
         """Stages of the search."""
-        return stages(self.criterion, self.metric)
+        return criteria.stages(self.criterion, self.metric)
 
     @cached_property
     def samples(self) -> SampledBasis:
@@ -184,7 +176,7 @@ class ExcitationProblem:
         sizes = np.linalg.eigvalsh(self.metric.T @ gram @ self.metric)
         return float(np.sqrt(sizes[-1] / max(sizes[0], 1e-300)))
 
-    def objective(self, criterion: Criterion, ceiling: float | None = None) -> Objective:
+    def objective(self, criterion: criteria.Criterion, ceiling: float | None = None) -> Objective:
         """Return f(z) of a criterion, with −log det G / p ≤ ceiling where one is given."""
 
         def at(z: Array) -> ObjectiveValue:
@@ -198,7 +190,7 @@ class ExcitationProblem:
             value, slope = criterion.evaluate(gram)
             excess, slopes = np.zeros(0), np.zeros((0, len(z)))
             if ceiling is not None:
-                volume, volume_slope = LogDet().evaluate(gram)
+                volume, volume_slope = criteria.LogDet().evaluate(gram)
                 excess, slopes = np.array([volume - ceiling]), np.zeros((1, len(z)))
                 if excess[0] > -FAR:  # farther away no step reaches the ceiling
                     slopes[0] = in_variables(volume_slope)

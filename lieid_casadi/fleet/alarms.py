@@ -16,15 +16,9 @@ import numpy as np
 from lieid_casadi.atomic_file import reported
 from lieid_casadi.effects.placement import labels as specs
 from lieid_casadi.errors import FleetError, LieidError
+from lieid_casadi.fleet import judging
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History, left_beside
-from lieid_casadi.fleet.judging import (
-    ChangedQuantity,
-    JudgedArm,
-    RepeatedEffect,
-    judge_night,
-    label_of,
-)
 from lieid_casadi.fleet.night_result import Finding
 from lieid_casadi.fleet.recordings import local_copy
 from lieid_casadi.identification import Fit
@@ -100,7 +94,7 @@ FARTHEST_DATE = date(9999, 1, 1).toordinal()
 
 
 def updated_alarms(
-    open_alarms: Sequence[Alarm], judged: JudgedArm, closed: Sequence[Alarm] = ()
+    open_alarms: Sequence[Alarm], judged: judging.JudgedArm, closed: Sequence[Alarm] = ()
 ) -> list[Alarm]:
     """Return the open alarms of an arm after a night: those before it, and at most one new one.
 
@@ -113,7 +107,7 @@ def updated_alarms(
     owned = frozenset[str]().union(*(alarm.labels for alarm in alarms))
     changed = [c for c in judged.changed if c.label not in owned]
     repeated = [r for r in judged.repeated if r.label not in owned]
-    news: list[ChangedQuantity | RepeatedEffect] = [*changed, *repeated]
+    news: list[judging.ChangedQuantity | judging.RepeatedEffect] = [*changed, *repeated]
     if not news or not (changed or _named(judged.arm, news[0].since)):
         return alarms
     if alarms and news[0].since == judged.arm.dates[-1]:
@@ -122,7 +116,7 @@ def updated_alarms(
     lasting = {(a.quantity, a.joint) for a in closed if _lasts(a, judged.arm)}
     if lasting and (new.quantity, new.joint) not in lasting and not _is_found(new, judged.arm):
         return alarms
-    labels = {item.label for item in news} | {label_of(new.quantity, new.joint)}
+    labels = {item.label for item in news} | {judging.label_of(new.quantity, new.joint)}
     new = replace(new, series=",".join(sorted(labels)))
     for k, alarm in enumerate(alarms):
         if _is_same(alarm, new, judged.arm):
@@ -156,7 +150,7 @@ def _is_same(alarm: Alarm, new: Alarm, arm: ArmHistory) -> bool:
     return nights <= SAME_BEGINNING or not _is_found(new, arm)
 
 
-def _continued(alarm: Alarm, judged: JudgedArm) -> Alarm:
+def _continued(alarm: Alarm, judged: judging.JudgedArm) -> Alarm:
     """Return an open alarm with the size, beginning and name that this night gives.
 
     Another motion changes the coefficients of an arm that its fit does not describe. As long as the
@@ -177,7 +171,7 @@ def _continued(alarm: Alarm, judged: JudgedArm) -> Alarm:
     return replace(fresh, last=judged.arm.dates[-1], **kept)
 
 
-def _described(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date) -> Alarm:
+def _described(arm: ArmHistory, changed: Sequence[judging.ChangedQuantity], since: date) -> Alarm:
     """Return the alarm of quantities, the most significant first, that have changed since a night.
 
     It is named after the effect that the diagnoses since then have found. If they have found
@@ -197,7 +191,7 @@ def _described(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date)
     key, text = (alarm.quantity, alarm.joint), alarm.sentence
     rivals = (named[key][-1].rivals or "") if key in named else ""
     text += f"; fits as well: {rivals}" if rivals else ""
-    others = [label_of(*other) for other in named if other != key]
+    others = [judging.label_of(*other) for other in named if other != key]
     text += f"; also found: {', '.join(others[:3])}" if others else ""
     return replace(alarm, rivals=rivals, sentence=text)
 
@@ -235,7 +229,7 @@ def _of_finding(arm: ArmHistory, named: Named, since: date) -> Alarm:
     return _alarm(arm, since, (effect, joint), change, std, unit, text)
 
 
-def _of_coefficient(arm: ArmHistory, item: ChangedQuantity, since: date) -> Alarm:
+def _of_coefficient(arm: ArmHistory, item: judging.ChangedQuantity, since: date) -> Alarm:
     """Return the alarm about a coefficient, with slope and limit of a drift."""
     change, quantity = item.change, item.quantity
     unit, now = arm.units[quantity], change.level + change.size
@@ -257,7 +251,7 @@ def _of_coefficient(arm: ArmHistory, item: ChangedQuantity, since: date) -> Alar
     )  # fmt: skip
 
 
-def _of_error(arm: ArmHistory, changed: Sequence[ChangedQuantity], since: date) -> Alarm:
+def _of_error(arm: ArmHistory, changed: Sequence[judging.ChangedQuantity], since: date) -> Alarm:
     """Return the alarm about errors that no effect of the library explains."""
     item = next((c for c in changed if c.quantity.name == ERROR), changed[0])
     joint, factor = item.quantity.joint, float(np.exp(item.change.size))
@@ -287,7 +281,7 @@ def _alarm(
     )
 
 
-def _limit_dates(arm: ArmHistory, item: ChangedQuantity) -> list[date | None]:
+def _limit_dates(arm: ArmHistory, item: judging.ChangedQuantity) -> list[date | None]:
     """Return when a drift reaches its limit: by its slope, the steepest and the flattest one."""
     quantity = item.quantity
     limits = arm.limits.get(quantity.name) or arm.limits.get(quantity.effect)
@@ -366,7 +360,7 @@ def alarms_after(
     for alarm in alarms:
         if alarm.closed is None:
             alarmed[alarm.serial].add(alarm.joint)
-    judged = {each.arm.serial: each for each in judge_night(arms, night, alarmed=alarmed)}
+    judged = {each.arm.serial: each for each in judging.judge_night(arms, night, alarmed=alarmed)}
     kept = [a for a in alarms if a.closed is not None or a.serial not in judged]
     new: list[Alarm] = []
     for serial, each in judged.items():

@@ -14,19 +14,8 @@ from scipy.stats import t as student
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
+from lieid_casadi.fleet import changes
 from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, Quantity
-from lieid_casadi.fleet.changes import (
-    EXPECTED_SLOW,
-    FEWEST_NIGHTS,
-    Change,
-    NightSeries,
-    ScatterPrior,
-    TemperaturePrior,
-    repeated_finding,
-    scatter_prior,
-    strongest_change,
-    temperature_prior,
-)
 from lieid_casadi.fleet.history import History
 from lieid_casadi.tables import Table, make_table
 
@@ -47,7 +36,7 @@ class ChangedQuantity:
     """A quantity of an arm whose change is significant."""
 
     quantity: Quantity
-    change: Change
+    change: changes.Change
     since: date
 
     @property
@@ -136,9 +125,9 @@ def _adjusted_tests(
         tests: list[Test] = []
         for quantity, series, first in _judged_series(arm):
             prior = scatter.get((arm.robot, quantity.name, series.has_temperature))
-            change = strongest_change(
+            change = changes.strongest_change(
                 series,
-                prior or scatter_prior([series]),  # no arm of the pool is like it
+                prior or changes.scatter_prior([series]),  # no arm of the pool is like it
                 warmth.get((arm.robot, quantity)),
                 rises_only=quantity.name == ERROR,
             )
@@ -170,16 +159,19 @@ def _judged(arm: ArmHistory, tests: Sequence[Test]) -> JudgedArm:
     )
 
 
-def _judged_series(arm: ArmHistory) -> list[tuple[Quantity, NightSeries, int]]:
+def _judged_series(arm: ArmHistory) -> list[tuple[Quantity, changes.NightSeries, int]]:
     """Return the series of an arm since their baselines, and the position of the first night."""
     found = [(q, series, arm.baseline_of(q.joint)) for q, series in arm.series.items()]
-    chosen = [(q, s, k) for q, s, k in found if len(s) - k >= FEWEST_NIGHTS]
+    chosen = [(q, s, k) for q, s, k in found if len(s) - k >= changes.FEWEST_NIGHTS]
     return [(q, s.at(slice(k, None)) if k else s, k) for q, s, k in chosen]
 
 
 def _priors(
     arms: Sequence[ArmHistory],
-) -> tuple[dict[tuple[str, str, bool], ScatterPrior], dict[tuple[str, Quantity], TemperaturePrior]]:
+) -> tuple[
+    dict[tuple[str, str, bool], changes.ScatterPrior],
+    dict[tuple[str, Quantity], changes.TemperaturePrior],
+]:
     """Return the priors of scatter and of the slope over temperature.
 
     Scatter is pooled over the joints of arms with the same robot, apart for series with and
@@ -192,25 +184,25 @@ def _priors(
         kinds[arm.robot].append(arm)
     pooled = [arm for own in kinds.values() for arm in own[:: -(-len(own) // POOLED)]]
     judged = [(arm.robot, _judged_series(arm)) for arm in pooled]
-    by_joint: dict[tuple[str, Quantity], list[NightSeries]] = defaultdict(list)
+    by_joint: dict[tuple[str, Quantity], list[changes.NightSeries]] = defaultdict(list)
     for robot, own in judged:
         for quantity, series, _ in own:
             by_joint[robot, quantity].append(series)
-    warmth: dict[tuple[str, Quantity], TemperaturePrior] = {}
-    slow: dict[tuple[str, str, bool], float] = defaultdict(lambda: EXPECTED_SLOW)
+    warmth: dict[tuple[str, Quantity], changes.TemperaturePrior] = {}
+    slow: dict[tuple[str, str, bool], float] = defaultdict(lambda: changes.EXPECTED_SLOW)
     for (robot, quantity), every in by_joint.items():
-        prior = temperature_prior(every)
+        prior = changes.temperature_prior(every)
         if prior is not None:
             warmth[robot, quantity] = prior
             unknown = robot, quantity.name, False
             slow[unknown] = max(slow[unknown], prior.variance)
-    pools: dict[tuple[str, str, bool], list[NightSeries]] = defaultdict(list)
+    pools: dict[tuple[str, str, bool], list[changes.NightSeries]] = defaultdict(list)
     for robot, own in judged:  # the series of one arm beside each other: they share a matrix
         for quantity, series, _ in own:
             known = warmth.get((robot, quantity)) if series.has_temperature else None
             corrected = series if known is None else series.at_mean_temperature(known.slope)
             pools[robot, quantity.name, series.has_temperature].append(corrected)
-    scatter = {k: scatter_prior(each, expected_slow=slow[k]) for k, each in pools.items()}
+    scatter = {k: changes.scatter_prior(each, expected_slow=slow[k]) for k, each in pools.items()}
     return scatter, warmth
 
 
@@ -220,8 +212,8 @@ def _repeated(arm: ArmHistory, rates: dict[str, float]) -> list[tuple[RepeatedEf
     for effect, joint in arm.found[-1]:
         first = arm.baseline_of(joint)
         nights = np.array([(effect, joint) in night for night in arm.found[first:]])
-        if effect != "unexplained" and nights.sum() >= 2 and len(nights) >= FEWEST_NIGHTS:
-            p, start = repeated_finding(nights, max(rates[effect], RARE_FINDING))
+        if effect != "unexplained" and nights.sum() >= 2 and len(nights) >= changes.FEWEST_NIGHTS:
+            p, start = changes.repeated_finding(nights, max(rates[effect], RARE_FINDING))
             found.append((RepeatedEffect(effect, joint, arm.dates[first + start]), p))
     return found
 

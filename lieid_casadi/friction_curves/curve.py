@@ -14,16 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi import errors
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import compile
-from lieid_casadi.errors import (
-    JointStillWarning,
-    LieidWarning,
-    ModelError,
-    RecordingError,
-    unique_warnings,
-    warning_list,
-)
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.recording_checks import Source, check_recordings
 from lieid_casadi.model import Model
@@ -72,7 +65,7 @@ class FrictionCurve:
     load_source: str  # ``model`` (the rigid torque) or ``measured`` (the mean of both directions)
     cutoff: float  # cut-off frequency of the low-pass filter, Hz
     recordings: tuple[Source, ...]
-    warnings: tuple[LieidWarning, ...]
+    warnings: tuple[errors.LieidWarning, ...]
 
     def __len__(self) -> int:
         return len(self.speed)
@@ -105,7 +98,7 @@ class FrictionCurve:
             "load_source": self.load_source,
             "cutoff": self.cutoff,
             "recordings": [r.to_dict() for r in self.recordings],
-            "warnings": warning_list(self.warnings),
+            "warnings": errors.warning_list(self.warnings),
         }
 
     def plot(self, ax: Axes | None = None) -> Figure:
@@ -167,9 +160,9 @@ def friction_curve(
     given = listed(recordings)
     robot = arm.model.robot if isinstance(arm, Fit) else arm
     if not 0 <= joint < robot.n:
-        raise ModelError(f"no joint {joint + 1}; {robot.name} has joints 1 to {robot.n}")
+        raise errors.ModelError(f"no joint {joint + 1}; {robot.name} has joints 1 to {robot.n}")
     if not given:
-        raise RecordingError("no recordings given; expected at least one")
+        raise errors.RecordingError("no recordings given; expected at least one")
     check_recordings(Model(robot), given)
     source = "model" if isinstance(arm, Fit) else "measured"
     segments = process(given, processing)
@@ -194,7 +187,9 @@ def friction_curve(
         cutoff=segments[0].cutoff,
         recordings=tuple(Source.of(r) for r in given),
         # the other joints stand still as they should
-        warnings=unique_warnings([w for w in found if not isinstance(w, JointStillWarning)]),
+        warnings=errors.unique_warnings(
+            [w for w in found if not isinstance(w, errors.JointStillWarning)]
+        ),
     )
 
 
@@ -287,7 +282,7 @@ def _matched(segments: Sequence[Processed], torques: Array, joint: int, name: st
             f, b = (p, other) if p.forward else (other, p)
             chosen[id(f), id(b)] = f, b
     if not chosen:
-        raise RecordingError(
+        raise errors.RecordingError(
             f"{name}: joint {joint + 1} passes no position in both directions "
             f"(forward {_extent(passes, forward=True)}, backward "
             f"{_extent(passes, forward=False)} rad); record it forward and backward "
@@ -300,12 +295,12 @@ def _matched(segments: Sequence[Processed], torques: Array, joint: int, name: st
     )
     similar, still = (np.concatenate([part[k] for part in made]) for k in (1, 2))
     if not similar.any():
-        raise RecordingError(
+        raise errors.RecordingError(
             f"{name}: joint {joint + 1} passes the same positions only at different "
             "speeds; record both directions at the same speeds"
         )
     if not (similar & still).any():
-        raise RecordingError(
+        raise errors.RecordingError(
             f"{name}: when joint {joint + 1} returns to a position, the other joints have moved; "
             "record it while they stand still, or fit friction with identify"
         )
@@ -317,13 +312,13 @@ def _check_directions(
 ) -> None:
     if not passes:
         fastest = max(float(np.abs(s.dq[:, joint]).max()) for s in segments)
-        raise RecordingError(
+        raise errors.RecordingError(
             f"{name}: joint {joint + 1} never moves in one direction for long enough (fastest "
             f"{fastest:.2g} rad/s); record it moving forward and backward"
         )
     if all(p.forward for p in passes) or not any(p.forward for p in passes):
         found, missing = ("forward", "backward") if passes[0].forward else ("backward", "forward")
-        raise RecordingError(
+        raise errors.RecordingError(
             f"{name}: joint {joint + 1} moves {found} only; friction is half the difference of "
             f"both directions, so record it {missing} over the same positions as well"
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.payload.body import NAMES, UNITS
 from lieid_casadi.plot_style import drawing
-from lieid_casadi.tables import Table, figures, html, make_table
+from lieid_casadi.tables import Table, figures, html, make_table, with_std
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -230,9 +229,3 @@ def not_identified(payload: PayloadEstimate) -> list[tuple[str, str]]:
     for part in payload.not_identified:
         by_reason.setdefault(part.reason, []).append(part.name)
     return [(", ".join(names), reason) for reason, names in by_reason.items()]
-
-
-def with_std(value: float, std: float) -> str:
-    """Return a value ± its standard deviation, rounded to two digits of the latter."""
-    decimals = min(max(1 - math.floor(math.log10(std)), 0), 12) if 0.0 < std < math.inf else 4
-    return f"{value:z.{decimals}f} ± {std:.{decimals}f}"

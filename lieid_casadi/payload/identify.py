@@ -20,36 +20,23 @@ from lieid_casadi.errors import (
     SameRecordingWarning,
     unique_warnings,
 )
-from lieid_casadi.identification import Fit
+from lieid_casadi.identification import Fit, recording_checks
 from lieid_casadi.identification.prediction import center_temperature
-from lieid_casadi.identification.recording_checks import (
-    Source,
-    check_recordings,
-    check_torque_constants,
-)
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.identification.regression.least_squares import name_direction
-from lieid_casadi.payload.body import (
-    DEPENDS_ON,
-    NAMES,
-    SCALE,
-    UNITS,
-    identifiable_quantities,
-    physical_jacobian,
-    physical_quantities,
-)
+from lieid_casadi.payload import body
 from lieid_casadi.payload.estimate import (
     INSIGNIFICANT,
     NotIdentified,
     PayloadEstimate,
-    with_std,
 )
 from lieid_casadi.payload.regression import LoadedRun, LoadedRunEstimate
 from lieid_casadi.recording import Processed, Recording, check, process
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
 from lieid_casadi.robot.robot import Robot
+from lieid_casadi.tables import with_std
 
 WEAK = 0.3  # relative standard deviation above which a quantity is reported as not identified
 MASS = 0.05  # kg: a mass with this standard deviation is reported however small it is
@@ -87,14 +74,14 @@ def _not_identified(
 ) -> tuple[NotIdentified, ...]:
     """Return the quantities that cannot be identified from the recording, with reasons."""
     sizes, found = _sizes(values), []
-    for k, name in enumerate(NAMES):
+    for k, name in enumerate(body.NAMES):
         if not identifiable[k]:
             reason = _hidden_reason(k, hidden)
         elif k > 0 and _no_mass(values, std):
             reason = f"the mass, {with_std(values[0], std[0])} kg, is not significant"
         elif not std[k] <= WEAK * sizes[k]:
             part = 100.0 * std[k] / max(sizes[k], 1e-300)
-            reason = f"standard deviation {std[k]:.2g} {UNITS[k]}, {part:.0f} % of its size"
+            reason = f"standard deviation {std[k]:.2g} {body.UNITS[k]}, {part:.0f} % of its size"
             reason += ": the motion is too slow or too small"
         else:
             continue
@@ -104,7 +91,7 @@ def _not_identified(
 
 def _hidden_reason(k: int, hidden: Array) -> str:
     for direction in hidden:
-        if np.any(DEPENDS_ON[k] & (np.abs(direction) > 1e-6)):
+        if np.any(body.DEPENDS_ON[k] & (np.abs(direction) > 1e-6)):
             return (
                 f"the torque does not depend on {name_direction(direction, LABELS)} "
                 "(for this arm, or in this motion)"
@@ -222,11 +209,11 @@ def identify_payload(
     """
     given = listed(recordings)
     report = progress or (lambda stage, fraction: None)
-    check_recordings(fit.model, given)
+    recording_checks.check_recordings(fit.model, given)
     report("check", 0.0)
     checked = [w for recording in given for w in check(recording, fit.model.robot)]
     found = _fit_warnings(fit, given)
-    found += [w for r in given for w in check_torque_constants(fit.provenance, r)]
+    found += [w for r in given for w in recording_checks.check_torque_constants(fit.provenance, r)]
     report("process", 0.2)
     options = fit.processing if cutoff is None else replace(fit.processing, cutoff=cutoff)
     segments, _ = center_temperature(process(given, options), fit.temperature_mean)
@@ -250,7 +237,7 @@ def identify_payload(
     found += [*checked, *changed]
     result = replace(
         _result(fit, run, estimate),
-        recordings=tuple(Source.of(r) for r in given),
+        recordings=tuple(recording_checks.Source.of(r) for r in given),
     )
     found += [w for segment in segments for w in segment.warnings]
     found += _payload_warnings(fit, result, estimate, kept.noise)
@@ -278,12 +265,12 @@ def _frame(robot: Robot) -> str:
 
 
 def _result(fit: Fit, run: LoadedRun, estimate: LoadedRunEstimate) -> PayloadEstimate:
-    hidden = estimate.hidden / SCALE
+    hidden = estimate.hidden / body.SCALE
     hidden = hidden / np.maximum(np.abs(hidden).max(axis=1, keepdims=True), 1e-300)
-    identifiable = identifiable_quantities(hidden)
-    values, std = physical_quantities(estimate.parameters), np.full(10, np.nan)
+    identifiable = body.identifiable_quantities(hidden)
+    values, std = body.physical_quantities(estimate.parameters), np.full(10, np.nan)
     if estimate.parameters[0] != 0.0:
-        std = _propagated(physical_jacobian(estimate.parameters), estimate.covariance)
+        std = _propagated(body.physical_jacobian(estimate.parameters), estimate.covariance)
     else:
         identifiable[:] = False
     not_identified = _not_identified(values, std, identifiable, hidden)

@@ -11,18 +11,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.premises import plain_fit
 from lieid_casadi.premises.correction import Correction
-from lieid_casadi.premises.plain_fit import (
-    FRICTION,
-    Design,
-    FreeFit,
-    Index,
-    Samples,
-    StatedFit,
-    design,
-    free_fit,
-    stated_fit,
-)
 from lieid_casadi.premises.rigid_columns import RigidArm
 from lieid_casadi.robot import Robot
 
@@ -55,8 +45,8 @@ class Alternative:
 class Errors:
     """The plain fits, and what their errors are relative to."""
 
-    free: FreeFit
-    stated: StatedFit | None
+    free: plain_fit.FreeFit
+    stated: plain_fit.StatedFit | None
     scale: Array  # (n,) the torque's own RMS about its mean, N·m
     friction: Array  # (P, n) part of the joints' power that friction takes in fits without a part
 
@@ -89,7 +79,7 @@ class Screen:
     """Robot and samples on which hypotheses are compared."""
 
     robot: Robot
-    samples: Samples
+    samples: plain_fit.Samples
     most: int = 300
     parts: bool = False
     stated_torque: bool = True
@@ -119,7 +109,7 @@ class Screen:
         return np.asarray(self.robot.gravity, dtype=float)
 
     @cached_property
-    def thin(self) -> Samples:
+    def thin(self) -> plain_fit.Samples:
         """At most ``most`` of the samples."""
         return self.samples.thinned(self.most)
 
@@ -149,13 +139,15 @@ class Screen:
         return self.arm.columns(*motion, gravity)
 
     @cached_property
-    def design(self) -> Design:
+    def design(self) -> plain_fit.Design:
         """Columns of the samples as they are, which serve all hypotheses on the torque alone."""
         return self._design(Correction.none(self.n), self.thin)
 
-    def _design(self, correction: Correction, s: Samples, columns: Array | None = None) -> Design:
+    def _design(
+        self, correction: Correction, s: plain_fit.Samples, columns: Array | None = None
+    ) -> plain_fit.Design:
         columns = self.columns(correction) if columns is None else columns
-        return design(columns, s, self.arm.kept // 10, parts=self.parts)
+        return plain_fit.design(columns, s, self.arm.kept // 10, parts=self.parts)
 
     @cached_property
     def base(self) -> Errors:
@@ -181,11 +173,11 @@ class Screen:
             s = self.thin if correction.signals_stay else correction.of_samples(self.thin)
             made = self._design(correction, s, columns)
         given = made.equations(s.tau)
-        stated = None if self.parameters is None else stated_fit(given, self.parameters)
-        fitted = free_fit(given)
+        stated = None if self.parameters is None else plain_fit.stated_fit(given, self.parameters)
+        fitted = plain_fit.free_fit(given)
         friction = np.zeros((1, self.n))
         if self.parts:
-            own = fitted.own_without[:, :, FRICTION]
+            own = fitted.own_without[:, :, plain_fit.FRICTION]
             friction = np.einsum("pjk,jk->pj", own, given.own_power(s))
         # errors are relative to the recorded torque, which adding a weight would enlarge
         scale = self.thin.spread if correction.weight else s.spread
@@ -201,10 +193,10 @@ class Screen:
         return np.asarray(tau @ correction.torque_matrix.T)
 
     @cached_property
-    def _splines(self) -> list[tuple[Index, Array, Callable[[Array], Array]]]:
+    def _splines(self) -> list[tuple[plain_fit.Index, Array, Callable[[Array], Array]]]:
         """Rows of each stretch that is compared, the stretch's time, and a spline of its torque."""
         whole = self.samples
-        found: list[tuple[Index, Array, Callable[[Array], Array]]] = []
+        found: list[tuple[plain_fit.Index, Array, Callable[[Array], Array]]] = []
         for stretch in np.unique(self.thin.segment):
             at = np.flatnonzero(whole.segment == stretch)
             t, tau = whole.t[at], whole.tau[at]

@@ -14,15 +14,8 @@ from lieid_casadi.premises.correction import Correction, shifted
 from lieid_casadi.premises.findings import Finding
 from lieid_casadi.premises.plain_fit import Index, Mask, Samples
 from lieid_casadi.premises.screen import Alternative, Screen, best_on
-from lieid_casadi.recording import Recording
+from lieid_casadi.recording import Recording, sample_timing
 from lieid_casadi.recording.plausibility import unit_of_velocity
-from lieid_casadi.recording.sample_timing import (
-    TIME_UNITS,
-    gap_limit,
-    is_plausible_rate,
-    mean_rate,
-    unit_of_rate,
-)
 
 #: Mean speed below which no arm is recorded to identify it, rad/s.
 SLOWEST_ARM = 2e-3
@@ -76,15 +69,15 @@ def delays(screen: Screen) -> Iterator[Alternative]:
 
 def suspected_unit(recording: Recording) -> Finding | None:
     """Return the unit of time that the rate, the velocities or the lack of motion show."""
-    rate = mean_rate(recording.t)
-    possible = unit_of_rate(rate)
-    if possible and not is_plausible_rate(rate):
+    rate = sample_timing.mean_rate(recording.t)
+    possible = sample_timing.unit_of_rate(rate)
+    if possible and not sample_timing.is_plausible_rate(rate):
         return _unit(possible, f"a mean rate of {rate:.3g} Hz", certain=True)
     if recording.dq is not None:
         found = unit_of_velocity(recording)
         return found and _unit(found[0], f"velocities {found[1]:.3g} times too large", certain=True)
     steps, q = np.diff(recording.t), np.asarray(recording.q)
-    inside = steps <= gap_limit(recording.t)
+    inside = steps <= sample_timing.gap_limit(recording.t)
     speed = np.abs(np.diff(q, axis=0))[inside].sum(axis=0) / max(float(steps[inside].sum()), 1e-12)
     if possible and float(speed.max()) < SLOWEST_ARM and np.ptp(q, axis=0).max() > 0.1:
         why = f"no joint moves faster than {speed.max():.2g} rad/s on average"
@@ -96,7 +89,7 @@ def _unit(unit: str, why: str, *, certain: bool) -> Finding:
     """Return the finding of another unit of time."""
     option = f"--units {unit}"
     sentence = f"The time stamps are in {unit}, not in seconds ({why}): with {option}."
-    value = {"factor": TIME_UNITS[unit], "unit": unit}
+    value = {"factor": sample_timing.TIME_UNITS[unit], "unit": unit}
     return Finding("time_unit", (), value, sentence, option, certain=certain)
 
 

@@ -7,35 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from lieid_casadi import errors
 from lieid_casadi.arrays import Array, Mask
-from lieid_casadi.errors import (
-    ConstantTorqueWarning,
-    DropoutWarning,
-    IrregularTimeWarning,
-    JointLimitWarning,
-    JointStillWarning,
-    LieidWarning,
-    LowRateWarning,
-    RecordingError,
-    TorqueClippedWarning,
-)
 from lieid_casadi.messages import joints_text
+from lieid_casadi.recording import sample_timing
 from lieid_casadi.recording.measurement import require_sound
 from lieid_casadi.recording.recording import Recording
-from lieid_casadi.recording.sample_timing import (
-    TIME_NAMES,
-    TIME_UNITS,
-    dropout_limit,
-    gap_limit,
-    mean_rate,
-    require_plausible_rate,
-    sample_period,
-)
 from lieid_casadi.recording.spectrum import motion_band, resolution
 from lieid_casadi.robot.robot import Robot
 
 
-def check(recording: Recording, robot: Robot | None = None) -> tuple[LieidWarning, ...]:
+def check(recording: Recording, robot: Robot | None = None) -> tuple[errors.LieidWarning, ...]:
     """Return the warnings of a recording, checked against a robot where one is given.
 
     The recording's own warnings come first, then dropouts and irregular stamps, limits, joints at
@@ -48,9 +30,9 @@ def check(recording: Recording, robot: Robot | None = None) -> tuple[LieidWarnin
         another number of joints, degrees, velocities in other units.
     """
     require_sound(recording)
-    require_plausible_rate(recording.t, recording.title)
+    sample_timing.require_plausible_rate(recording.t, recording.title)
     if robot is not None and robot.n != recording.n:
-        raise RecordingError(
+        raise errors.RecordingError(
             f"{recording.title}: found {recording.n} joints "
             f"(q1…q{recording.n}), expected {robot.n} as the robot {robot.name} has"
         )
@@ -74,11 +56,11 @@ TWO_TURNS = 4.0 * np.pi
 
 def require_plausible_units(recording: Recording, robot: Robot | None = None) -> None:
     """Refuse stamps that are not in seconds and positions that are not in radians."""
-    require_plausible_rate(recording.t, recording.title)
+    sample_timing.require_plausible_rate(recording.t, recording.title)
     check_units(recording, robot)
 
 
-def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
+def check_units(recording: Recording, robot: Robot | None) -> list[errors.LieidWarning]:
     """Refuse degrees; warn where positions leave the robot's limits."""
     title = recording.title
     revolute, lower, upper = np.ones(recording.n, dtype=bool), *np.full((2, recording.n), np.nan)
@@ -95,7 +77,7 @@ def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]
     if turns or (far.any() and sure):
         joint = int(np.argmax(np.where(free, largest, 0.0) if turns else largest / reach))
         limits = f" where the robot's limits are {lower[joint]:.4g} to {upper[joint]:.4g} rad"
-        raise RecordingError(
+        raise errors.RecordingError(
             f"{title}: column q{joint + 1}: found {largest[joint]:.4g}{'' if turns else limits}, "
             "expected radians; if these are degrees, convert with --units deg (units='deg' in "
             "Python)"
@@ -106,7 +88,7 @@ def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]
     if not outside.any():
         return []
     return [
-        JointLimitWarning(
+        errors.JointLimitWarning(
             f"{title}: positions of {joints_text(outside)} exceed the robot's limits by up to "
             f"{over[outside].max():.3g}: check the zero pose, the robot and the unit"
         )
@@ -117,27 +99,27 @@ def check_units(recording: Recording, robot: Robot | None) -> list[LieidWarning]
 CLUSTERED = 2.0
 
 
-def check_time(recording: Recording) -> list[LieidWarning]:
+def check_time(recording: Recording) -> list[errors.LieidWarning]:
     """Report lost samples, gaps that split the recording into segments, and clustered stamps."""
-    found: list[LieidWarning] = []
-    steps = np.diff(recording.t)
+    found: list[errors.LieidWarning] = []
+    steps, period = np.diff(recording.t), sample_timing.sample_period(recording.t)
     steps[np.isin(recording.t[:-1], recording.pauses)] = 0.0
-    lost = steps > dropout_limit(recording.t)
+    lost = steps > sample_timing.dropout_limit(recording.t)
     if lost.any():
         first = recording.t[int(np.argmax(lost))]
-        gaps = int(np.sum(steps > gap_limit(recording.t)))
+        gaps = int(np.sum(steps > sample_timing.gap_limit(recording.t)))
         split = f"; split into {gaps + 1} segments at the gaps" if gaps else "; interpolated"
         found.append(
-            DropoutWarning(
+            errors.DropoutWarning(
                 f"{recording.title}: {int(lost.sum())} dropouts, the longest "
-                f"{steps.max():.3g} s at a sample period of {sample_period(recording.t):.3g} s, "
+                f"{steps.max():.3g} s at a sample period of {period:.3g} s, "
                 f"the first at t = {first:.6g} s{split}"
             )
         )
-    period, mean = sample_period(recording.t), 1.0 / mean_rate(recording.t)
+    mean = 1.0 / sample_timing.mean_rate(recording.t)
     if mean >= CLUSTERED * period:
         found.append(
-            IrregularTimeWarning(
+            errors.IrregularTimeWarning(
                 f"{recording.title}: the stamps come in clusters (median step {period:.3g} s, mean "
                 f"step {mean:.3g} s): these look like times of arrival; record the time of each "
                 "measurement, or velocities and accelerations are wrong"
@@ -202,8 +184,8 @@ def unit_of_velocity(recording: Recording) -> tuple[str, float] | None:
     found = _velocity_gains(recording)
     if found is None:
         return None
-    for unit in TIME_NAMES:
-        joint = found.joint_with(1.0 / TIME_UNITS[unit])
+    for unit in sample_timing.TIME_NAMES:
+        joint = found.joint_with(1.0 / sample_timing.TIME_UNITS[unit])
         if joint is not None:
             return unit, float(found.gain[joint])
     return None
@@ -215,19 +197,19 @@ def require_velocity_units(recording: Recording) -> None:
     if found is None:
         return
     meanings = ANGLE_RATIOS | {
-        f"t in {name}: convert with --units {unit}": 1.0 / TIME_UNITS[unit]
-        for unit, name in TIME_NAMES.items()
+        f"t in {name}: convert with --units {unit}": 1.0 / sample_timing.TIME_UNITS[unit]
+        for unit, name in sample_timing.TIME_NAMES.items()
     }
     for meaning, ratio in meanings.items():
         joint = found.joint_with(ratio)
         if joint is not None:
-            raise RecordingError(
+            raise errors.RecordingError(
                 f"{recording.title}: column dq{joint + 1}: found {found.gain[joint]:.3g} times the "
                 f"derivative of q{joint + 1}, expected 1; this looks like {meaning}"
             )
 
 
-def check_still(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
+def check_still(recording: Recording, robot: Robot | None) -> list[errors.LieidWarning]:
     """Name the joints that never move."""
     limits = np.full(recording.n, STILL)
     if robot is not None:
@@ -236,20 +218,20 @@ def check_still(recording: Recording, robot: Robot | None) -> list[LieidWarning]
     if not still.any():
         return []
     return [
-        JointStillWarning(
+        errors.JointStillWarning(
             f"{recording.title}: {joints_text(still)} never moved: friction and inertia of a "
             "joint at rest are not identifiable"
         )
     ]
 
 
-def check_rate(recording: Recording) -> list[LieidWarning]:
+def check_rate(recording: Recording) -> list[errors.LieidWarning]:
     """Report motion near the Nyquist frequency."""
     band = motion_band(recording)
     if band is None or band < 0.1 * recording.rate:
         return []
     return [
-        LowRateWarning(
+        errors.LowRateWarning(
             f"{recording.title}: {recording.rate:.3g} Hz is a low rate for motion "
             f"up to {band:.3g} Hz, expected {10.0 * band:.3g} Hz or more: accelerations are "
             "underestimated"
@@ -257,16 +239,16 @@ def check_rate(recording: Recording) -> list[LieidWarning]:
     ]
 
 
-def check_torque(recording: Recording, robot: Robot | None) -> list[LieidWarning]:
+def check_torque(recording: Recording, robot: Robot | None) -> list[errors.LieidWarning]:
     """Report torques that are constant, clipped or beyond the robot's limits."""
     if recording.tau is None:
         return []
-    title, found = recording.title, list[LieidWarning]()
+    title, found = recording.title, list[errors.LieidWarning]()
     constant = np.ptp(recording.tau, axis=0) == 0.0
     if constant.any():
         values = ", ".join(f"{value:g}" for value in np.unique(recording.tau[0, constant])[:4])
         found.append(
-            ConstantTorqueWarning(
+            errors.ConstantTorqueWarning(
                 f"{title}: torque of {joints_text(constant)} is {values} N·m in every row: was it "
                 "recorded? The parameters of these joints are not identifiable from it"
             )
@@ -280,14 +262,14 @@ def check_torque(recording: Recording, robot: Robot | None) -> list[LieidWarning
     if clipped.any():
         level = float(magnitude[:, clipped].max(axis=0)[0])
         found.append(
-            TorqueClippedWarning(
+            errors.TorqueClippedWarning(
                 f"{title}: torque of {joints_text(clipped)} stays at its largest value "
                 f"({level:.4g}): it seems to be clipped"
             )
         )
     if at_limit.any():
         found.append(
-            TorqueClippedWarning(
+            errors.TorqueClippedWarning(
                 f"{title}: torque of {joints_text(at_limit)} reaches the robot's torque limit"
             )
         )

@@ -16,12 +16,7 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Mask
 from lieid_casadi.errors import RecordingError
-from lieid_casadi.recording.conversion import (
-    convert_units,
-    torque_of_commands,
-    torque_of_currents,
-    unit_factors,
-)
+from lieid_casadi.recording import conversion
 from lieid_casadi.recording.measurement import (
     OPTIONAL_SIGNALS,
     Measurement,
@@ -159,7 +154,7 @@ class Recording(Measurement):
         """
         given = {str(column): np.asarray(frame[column]) for column in frame.columns}
         made = measurement_of_columns(given, name or "data frame", stated=parse_columns(columns))
-        made = convert_units(made, units)
+        made = conversion.convert_units(made, units)
         arrays = [made.t, made.q, *(getattr(made, f) for f in OPTIONAL_SIGNALS)]
         made = replace(made, name=name, source_hash=hash_of_arrays([*arrays, made.payload_label]))
         return cls.of_measurement(made).with_torque(torque_constants, drives)
@@ -234,10 +229,10 @@ class Recording(Measurement):
             episodes=episodes,
             calibration=calibration,
             position_limits=None if position_limits is None else read_only(position_limits),
-            degrees=unit_factors(units)[1] != 1.0,
-            part=_part_ends(start, end, unit_factors(units)[0]),
+            degrees=conversion.unit_factors(units)[1] != 1.0,
+            part=_part_ends(start, end, conversion.unit_factors(units)[0]),
         )
-        made = convert_units(read_measurement(file, options), units, revolute)
+        made = conversion.convert_units(read_measurement(file, options), units, revolute)
         made = reassigned(made, moved, own)
         made = replace(made, columns=tuple("=".join(pair) for pair in stated))
         recording = cls.of_measurement(made, revolute).with_torque(torque_constants, drives)
@@ -293,7 +288,7 @@ class Recording(Measurement):
         RecordingError
             No currents, or not one finite constant per joint.
         """
-        tau = torque_of_currents(self, constants)
+        tau = conversion.torque_of_currents(self, constants)
         used = tuple(float(k) for k in np.atleast_1d(np.asarray(constants)))
         return replace(self, tau=tau, torque_constants=used)
 
@@ -305,7 +300,7 @@ class Recording(Measurement):
         RecordingError
             No commanded positions, or not one law per joint.
         """
-        return replace(self, tau=torque_of_commands(self, drives), drives=tuple(drives))
+        return replace(self, tau=conversion.torque_of_commands(self, drives), drives=tuple(drives))
 
     def save(self, path: str | Path) -> None:
         """Write ``.csv``, ``.csv.gz``, ``.npz`` or ``.parquet``, atomically, values exact.

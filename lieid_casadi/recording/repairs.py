@@ -17,15 +17,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from lieid_casadi import errors
 from lieid_casadi.arrays import Array, Mask
-from lieid_casadi.errors import (
-    DamagedRowsWarning,
-    DuplicateRowsWarning,
-    LieidWarning,
-    OutlierWarning,
-    RepeatedRowsWarning,
-    WrappedAngleWarning,
-)
 from lieid_casadi.messages import joints_text
 from lieid_casadi.recording.measurement import (
     FIELDS,
@@ -77,7 +70,7 @@ def without_damaged_rows(measurement: Measurement) -> tuple[Measurement, Fault |
     if damaged:
         first = int(np.argmax(bad))
         found.append(
-            DamagedRowsWarning(
+            errors.DamagedRowsWarning(
                 f"{title}: {damaged} of {len(measurement)} rows have values that are missing or "
                 f"not finite, the first in row {first + 1}, and were left out",
                 samples=damaged,
@@ -87,7 +80,7 @@ def without_damaged_rows(measurement: Measurement) -> tuple[Measurement, Fault |
     if repeated.any():
         count = int(repeated.sum())
         found.append(
-            DuplicateRowsWarning(
+            errors.DuplicateRowsWarning(
                 f"{title}: {count} of {len(measurement)} rows are exact copies of the row before, "
                 "its time included, and were left out",
                 samples=count,
@@ -146,7 +139,7 @@ def _continuous(measurement: Measured, turning: Mask) -> Measured:
         samples += int(jumps.sum())
     if not changed:
         return measurement
-    warning = WrappedAngleWarning(
+    warning = errors.WrappedAngleWarning(
         f"{measurement.title}: angles of {joints_text(joints)} jump by a whole turn between two "
         f"samples ({samples} times): they were wrapped, and have been made continuous",
         samples=samples,
@@ -176,7 +169,7 @@ def _without_outliers(measurement: Measured) -> Measured:
     count = int(rows.sum())
     if not count or count > MOST_DAMAGED * len(rows):
         return measurement
-    warning: LieidWarning = OutlierWarning(
+    warning: errors.LieidWarning = errors.OutlierWarning(
         f"{measurement.title}: {count} of {len(rows)} rows have an outlier of a single sample "
         f"({', '.join(columns[:6])}{', …' if len(columns) > 6 else ''}; the first at "
         f"t = {measurement.t[int(np.argmax(rows))]:.6g} s), and were left out",
@@ -208,7 +201,7 @@ def _numbers(joints: Mask) -> tuple[int, ...]:
     return tuple(int(j) + 1 for j in np.flatnonzero(joints))
 
 
-def without_repeats(segment: Measured) -> tuple[Measured, RepeatedRowsWarning | None]:
+def without_repeats(segment: Measured) -> tuple[Measured, errors.RepeatedRowsWarning | None]:
     """Return a segment without repeated rows, on uniform stamps where they fit, and a warning."""
     fresh = ~repeats(segment)
     removed = int(np.sum(~fresh))
@@ -217,7 +210,7 @@ def without_repeats(segment: Measured) -> tuple[Measured, RepeatedRowsWarning | 
     kept = segment.at(fresh)
     stamps, uniform = _uniform(kept.t, sample_period(segment.t), removed)
     new = f"; the others are {1e3 * sample_period(stamps):.4g} ms apart" if uniform else ""
-    warning = RepeatedRowsWarning(
+    warning = errors.RepeatedRowsWarning(
         f"{segment.title}: {removed} of {len(segment)} rows repeat the one before in all "
         f"signals while the arm moves, and were removed{new}: the source was slower than the "
         "recorder"

@@ -11,16 +11,8 @@ from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 from nicegui.events import SceneClickEventArguments, ValueChangeEventArguments
 
+from lieid_casadi.workbench import elements
 from lieid_casadi.workbench.arm import ArmMesh, ArmMotion
-from lieid_casadi.workbench.elements import (
-    SCALE,
-    View,
-    call,
-    icon_button,
-    named,
-    ratio,
-    ratio_colour,
-)
 from lieid_casadi.workbench.workbench import Workbench
 
 FRAME = 0.1  # s between poses of the replay
@@ -46,16 +38,16 @@ class ArmScene:
             width=300, height=250, grid=(2, 10), background_color="#f7f9fa", fps=10,
             on_click=self._hit,
         )  # fmt: skip
-        named(self._scene, "arm-view").classes("arm-view")
-        call("drawChanges", self._scene)
+        elements.named(self._scene, "arm-view").classes("arm-view")
+        elements.call("drawChanges", self._scene)
         with ui.row().classes("w-full items-center gap-2 no-wrap"):
-            self._play = icon_button("play_arrow", "play", "replay the motion")
+            self._play = elements.icon_button("play_arrow", "play", "replay the motion")
             self._play.on_click(lambda: self.play(not self._timer.active))
             self._slider = ui.slider(
                 min=0.0, max=1.0, value=0.0, step=0.01, on_change=self._scrubbed
             )
-            named(self._slider.classes("grow"), "scrubber")
-            self._time = named(ui.label(""), "instant").classes("number small muted")
+            elements.named(self._slider.classes("grow"), "scrubber")
+            self._time = elements.named(ui.label(""), "instant").classes("number small muted")
 
     def build(self, meshes: Sequence[ArmMesh], address: str) -> None:
         """Make the surfaces of the links, which the server has at ``address/NUMBER.stl``."""
@@ -135,7 +127,7 @@ class ArmScene:
             self._clicked(int(names[0].removeprefix("joint")))
 
 
-class ArmView(View):
+class ArmView(elements.View):
     """The arm along the recording; ``moved`` is called with the instant that it shows, s."""
 
     def __init__(self, workbench: Workbench, moved: Callable[[float], None]) -> None:
@@ -146,7 +138,7 @@ class ArmView(View):
         with ui.column().classes("panel w-full"):
             with ui.row().classes("w-full items-center gap-1 no-wrap") as legend:
                 ui.label("Arm").classes("panel-title grow")
-                for most, colour in SCALE:
+                for most, colour in elements.SCALE:
                     ui.element("span").classes("swatch").style(f"background: {colour}")
                     ui.label(f"≤ {most:g} ×" if isfinite(most) else "more").classes("small muted")
             legend.props["title"] = "error over noise floor"
@@ -163,12 +155,12 @@ class ArmView(View):
         if opened is not self._opened:
             self._opened = opened
             self._arm.build(opened.meshes, f"/mesh/{workbench.name}")
-            self._colours = [BASE, *(ratio_colour(None) for _ in opened.joint_names)]
+            self._colours = [BASE, *(elements.ratio_colour(None) for _ in opened.joint_names)]
         session, view = workbench.session, workbench.view
         errors = None if session.step is None else session.step.errors
         if errors is not None:  # while a model is fitted the colours of the last one stay
-            multiples = map(ratio, errors.shown, errors.noise_floor)
-            self._colours = [BASE, *map(ratio_colour, multiples)]
+            multiples = map(elements.ratio, errors.shown, errors.noise_floor)
+            self._colours = [BASE, *map(elements.ratio_colour, multiples)]
         if self.is_new(opened, session.joint, self._colours):
             self._arm.colour(self._colours, session.joint)
         if opened.recordings:

@@ -35,16 +35,8 @@ from lieid_casadi.model import Model
 from lieid_casadi.premises import PremiseCheck
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.report import comparison_report, fit_report
+from lieid_casadi.workbench import evaluation
 from lieid_casadi.workbench.arm import ArmMotion, arm_motion
-from lieid_casadi.workbench.evaluation import (
-    EffectCurve,
-    Evaluation,
-    OpenedInputs,
-    effect_curves,
-    effect_rows,
-    found_effects,
-    opened_inputs,
-)
 from lieid_casadi.workbench.session import (
     ExcludedRange,
     FoundEffects,
@@ -83,10 +75,10 @@ class Computation:
         self._results: dict[tuple[object, ...], Any] = {}
         self._processing: Processing | None = None if fit is None else fit.processing
 
-    def opened(self) -> OpenedInputs:
+    def opened(self) -> evaluation.OpenedInputs:
         """Return facts about the robot and the recordings."""
         file = self.inputs.fit or self.inputs.robot
-        return opened_inputs(self._first_model(), self.recordings, file=file)
+        return evaluation.opened_inputs(self._first_model(), self.recordings, file=file)
 
     def premises(self, *, report: Progress) -> PremiseCheck | str:
         """Return whether robot and recordings belong together, or why this cannot be tested."""
@@ -107,7 +99,7 @@ class Computation:
         quick: bool,
         report: Progress,
         processing: Processing | None = None,
-    ) -> Evaluation:
+    ) -> evaluation.Evaluation:
         """Return the fit of a step, compared with all recordings.
 
         A quick one leaves out what takes longer than the fit: standard deviations, and the noise
@@ -157,9 +149,9 @@ class Computation:
             processing=self._processing,
             progress=report,
         )
-        return found_effects(diagnosis, step.effects), content_of(diagnosis.fit)
+        return evaluation.found_effects(diagnosis, step.effects), content_of(diagnosis.fit)
 
-    def adopt(self, step: ModelStep, *, content: bytes) -> Evaluation:
+    def adopt(self, step: ModelStep, *, content: bytes) -> evaluation.Evaluation:
         """Keep the fit that a diagnosis has made as that of a step; return its evaluation."""
         with tempfile.NamedTemporaryFile(suffix=".json") as file:  # its owner alone can read it
             file.write(content)
@@ -169,9 +161,9 @@ class Computation:
 
     def curves(
         self, step: ModelStep, *, recording: int, report: Progress
-    ) -> dict[str, EffectCurve]:
+    ) -> dict[str, evaluation.EffectCurve]:
         """Return the torque of each effect of a step along a recording, by the effect's label."""
-        return effect_curves(self.fit(step, report), self.recordings[recording])
+        return evaluation.effect_curves(self.fit(step, report), self.recordings[recording])
 
     def motion(self, recording: int) -> ArmMotion:
         """Return the poses of the arm along a recording."""
@@ -268,7 +260,7 @@ class Computation:
         exact: bool = True,
         complete: bool = True,
         share: float = 1.0,
-    ) -> Evaluation:
+    ) -> evaluation.Evaluation:
         """Compare a fit with the recordings of a step.
 
         Where there is a test, a ``share`` of the training is compared. The noise floor of an
@@ -289,14 +281,14 @@ class Computation:
             shown = replace(shown, noise_floor=np.minimum(self._results[key], shown.rms_moving))
         trained = on_train.rms_moving if share == 1.0 else np.full(fit.model.n, np.nan)
         columns = (trained, error, shown.noise_floor, _spread(shown))
-        return Evaluation(
+        return evaluation.Evaluation(
             exact=exact,
             complete=complete,
             errors=StepErrors(*(tuple(numbers_or_none(values)) for values in columns)),
             train=on_train,
             test=on_test,
             sentence="\n".join(verdict_sentences(shown, REMEDY)),
-            effects=effect_rows(fit),
+            effects=evaluation.effect_rows(fit),
             cutoff=fit.processing.cutoff or shown.cutoff,
             processing=fit.processing,
         )

@@ -19,7 +19,7 @@ from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.report.reports import diagnosis_summary
-from lieid_casadi.tables import Table, figures, make_table, std_text, value_text
+from lieid_casadi.tables import Table, figures, make_table, with_std
 from lieid_casadi.workbench.arm import ArmMesh, arm_meshes
 from lieid_casadi.workbench.session import FoundEffects, ProposedEffect, Session, StepErrors
 
@@ -188,8 +188,7 @@ def parameter_text(name: str, value: float, std: float | None, unit: str) -> str
     >>> parameter_text("f_c", 17.552, 0.853, "N·m"), parameter_text("g", 0.02, None, "1")
     ('f_c = 17.55 ± 0.85 N·m', 'g = 0.02')
     """
-    deviation = "" if std is None else f" ± {std_text(std)}"
-    return f"{name} = {value_text(value, std)}{deviation}{'' if unit in ('', '1') else ' ' + unit}"
+    return f"{name} = {with_std(value, std)}{'' if unit in ('', '1') else ' ' + unit}"
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
+from lieid_casadi.workbench import joints
 from lieid_casadi.workbench.arm_view import ArmView
 from lieid_casadi.workbench.commands import shell_lines
 from lieid_casadi.workbench.effects import EffectsView, FindingsView
@@ -18,13 +19,6 @@ from lieid_casadi.workbench.elements import (
     open_page,
     set_text,
     text,
-)
-from lieid_casadi.workbench.joints import (
-    DifferenceView,
-    HistoryView,
-    JointsView,
-    Overview,
-    WaterfallView,
 )
 from lieid_casadi.workbench.open_panel import OpenPanel
 from lieid_casadi.workbench.plots import CorrelationPlot, ResidualPlot, SpectrumPlot, TorquePlot
@@ -50,11 +44,11 @@ def build_page(workbench: Workbench, token: str) -> Callable[[], None]:
     views: list[View] = [toolbar, panel, PremisesView(workbench), FindingsView(workbench)]
     with ui.element("div").classes("columns"):
         with ui.column().classes("side"):
-            views.append(JointsView(workbench))
+            views.append(joints.JointsView(workbench))
             views.append(ArmView(workbench, lambda time: torque.move_cursor(time)))
-            views += [HistoryView(workbench), DifferenceView(workbench)]
+            views += [joints.HistoryView(workbench), joints.DifferenceView(workbench)]
         with ui.column().classes("middle"):
-            views += [WaterfallView(workbench), Overview(workbench)]
+            views += [joints.WaterfallView(workbench), joints.Overview(workbench)]
             views += [torque := TorquePlot(workbench), ResidualPlot(workbench)]
             with ui.element("div").classes("pair"):
                 views += [CorrelationPlot(workbench), SpectrumPlot(workbench)]

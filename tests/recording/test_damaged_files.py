@@ -14,7 +14,7 @@ from recording.planar_arm import measured
 
 from lieid_casadi.errors import RecordingError, UnknownColumnWarning
 from lieid_casadi.recording import Recording
-from lieid_casadi.recording.readers import csv_file, npz_file, parquet_file
+from lieid_casadi.recording.readers import csv_file, registry
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def refused(file, **options):
 
 
 def test_a_gzip_bomb_takes_no_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(csv_file, "INFLATE_LIMIT", 1 << 17)
+    monkeypatch.setattr(registry, "INFLATE_LIMIT", 1 << 17)
     file = tmp_path / "run.csv.gz"
     rows = b"".join(b"%d,1\n" % k for k in range(1000))
     with gzip.open(file, "wb", compresslevel=1) as out:
@@ -63,15 +63,14 @@ def test_arrays_with_unknown_names_are_not_inflated(tmp_path, run):
 
 
 def test_what_decodes_to_far_more_than_its_size(tmp_path, run, monkeypatch):
-    for reader in (parquet_file, npz_file):
-        monkeypatch.setattr(reader, "INFLATE_LIMIT", 1 << 20)
+    monkeypatch.setattr(registry, "INFLATE_LIMIT", 1 << 20)
     file = tmp_path / "run.parquet"
     constant = pyarrow.array(np.zeros(500_000))
     pyarrow.parquet.write_table(pyarrow.table({"t": constant, "q1": constant}), file)
     assert "inflates to more than 1 MiB" in refused(file)
     np.savez_compressed(tmp_path / "run.npz", t=np.arange(200_000.0), q1=np.zeros(200_000))
     assert "inflates to more than 1 MiB" in refused(tmp_path / "run.npz")
-    monkeypatch.setattr(parquet_file, "INFLATE_LIMIT", 16)
+    monkeypatch.setattr(registry, "INFLATE_LIMIT", 16)
     run.save(file)
     assert len(Recording.load(file)) == len(run)  # of plausible size
 

@@ -19,6 +19,7 @@ from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.messages import shortened
 from lieid_casadi.recording.measurement import Measurement
+from lieid_casadi.recording.readers import registry
 from lieid_casadi.recording.readers.columns import (
     EXPECTED,
     LABEL,
@@ -29,17 +30,10 @@ from lieid_casadi.recording.readers.columns import (
     read_layout,
     signal_names,
 )
-from lieid_casadi.recording.readers.registry import (
-    INFLATE_LIMIT,
-    ReadOptions,
-    RecordingFormat,
-    beyond_limit,
-    hash_of_file,
-)
 from lieid_casadi.recording.repairs import without_damaged_rows
 
 
-def read_csv(file: Path, options: ReadOptions) -> Measurement:
+def read_csv(file: Path, options: registry.ReadOptions) -> Measurement:
     """Read a CSV with a header."""
     first = next(numbered_lines(file), None)
     if first is None:
@@ -65,7 +59,7 @@ def read_csv(file: Path, options: ReadOptions) -> Measurement:
     measurement = replace(
         measurement_of_columns(columns, str(file)),
         name=file.name,
-        source_hash=hash_of_file(file),
+        source_hash=registry.hash_of_file(file),
         warnings=(*assumed, *layout_warnings(layout, file.name)),
     )
     repaired, fault = without_damaged_rows(measurement)
@@ -93,7 +87,7 @@ def write_csv(measurement: Measurement, file: Path) -> None:
         out.write(content)
 
 
-FORMAT = RecordingFormat(suffixes=(".csv", ".csv.gz"), read=read_csv, write=write_csv)
+FORMAT = registry.RecordingFormat(suffixes=(".csv", ".csv.gz"), read=read_csv, write=write_csv)
 
 
 def _header(file: Path, line: str, number: int) -> list[str]:
@@ -234,7 +228,7 @@ def numbered_lines(file: Path) -> Iterator[tuple[int, str]]:
 
 
 def _inflated(raw: IO[bytes], file: Path) -> bytes:
-    limit = min(INFLATE_LIMIT, max(UNSUSPICIOUS, LARGEST_RATIO * file.stat().st_size))
+    limit = min(registry.INFLATE_LIMIT, max(UNSUSPICIOUS, LARGEST_RATIO * file.stat().st_size))
     try:
         content = gzip.GzipFile(fileobj=raw).read(limit + 1)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
@@ -242,7 +236,7 @@ def _inflated(raw: IO[bytes], file: Path) -> bytes:
             f"{file}: not a complete gzip file ({error}); expected gzip, or the suffix .csv"
         ) from error
     if len(content) > limit:
-        raise beyond_limit(file, limit)
+        raise registry.beyond_limit(file, limit)
     return content
 
 

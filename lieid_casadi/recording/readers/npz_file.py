@@ -14,35 +14,28 @@ from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LieidWarning, RecordingError, UnknownColumnWarning
 from lieid_casadi.messages import names_text
 from lieid_casadi.recording.measurement import FIELDS, Measurement
+from lieid_casadi.recording.readers import registry
 from lieid_casadi.recording.readers.columns import (
     LABEL,
     is_name,
     measurement_of_columns,
     signal_names,
 )
-from lieid_casadi.recording.readers.registry import (
-    INFLATE_LIMIT,
-    ReadOptions,
-    RecordingFormat,
-    beyond_limit,
-    hash_of_file,
-    library_errors,
-)
 
 EXPECTED = "arrays t (N,), q (N, n) and optionally dq, tau, ddq, temp, i (N, n), load (N,)"
 
 
-def read_npz(file: Path, options: ReadOptions) -> Measurement:
+def read_npz(file: Path, options: registry.ReadOptions) -> Measurement:
     """Read an NPZ; pickled objects are refused, so that loading never runs code."""
     if file.stat().st_size == 0:
         raise RecordingError(f"{file}: found an empty file, expected {EXPECTED}")
-    with library_errors(file, "an NPZ of plain arrays"):
+    with registry.library_errors(file, "an NPZ of plain arrays"):
         arrays, unknown, warnings = _arrays(file, options)
         made = measurement_of_columns(_columns(arrays), str(file), options.n)
     if unknown:
         text = f"{file.name}: arrays with unknown names ignored: {names_text(unknown)}"
         warnings += (UnknownColumnWarning(text),)
-    return replace(made, name=file.name, source_hash=hash_of_file(file), warnings=warnings)
+    return replace(made, name=file.name, source_hash=registry.hash_of_file(file), warnings=warnings)
 
 
 def write_npz(measurement: Measurement, file: Path) -> None:
@@ -57,11 +50,11 @@ def write_npz(measurement: Measurement, file: Path) -> None:
         np.savez_compressed(out, **arrays)
 
 
-FORMAT = RecordingFormat(suffixes=(".npz",), read=read_npz, write=write_npz)
+FORMAT = registry.RecordingFormat(suffixes=(".npz",), read=read_npz, write=write_npz)
 
 
 def _arrays(
-    file: Path, options: ReadOptions
+    file: Path, options: registry.ReadOptions
 ) -> tuple[dict[str, Any], list[str], tuple[LieidWarning, ...]]:
     """Return the arrays of the signals by name, the names of other members, and warnings."""
     with zipfile.ZipFile(file) as archive:
@@ -73,8 +66,8 @@ def _arrays(
         if "t" not in wanted or not {"q", "q1"} & set(wanted):
             found = names_text(stored) or "nothing"
             raise RecordingError(f"{file}: found {found}, expected {EXPECTED}")
-        if sum(members[name].file_size for name in wanted) > INFLATE_LIMIT:
-            raise beyond_limit(file, INFLATE_LIMIT)
+        if sum(members[name].file_size for name in wanted) > registry.INFLATE_LIMIT:
+            raise registry.beyond_limit(file, registry.INFLATE_LIMIT)
         arrays = {}
         for name in wanted:
             # a member never yields more than the size in the archive's directory

@@ -15,20 +15,13 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LargeFileWarning, MissingDependency
 from lieid_casadi.recording.measurement import Measurement
+from lieid_casadi.recording.readers import registry
 from lieid_casadi.recording.readers.columns import (
     columns_of,
     layout_warnings,
     measurement_of_columns,
     read_layout,
     signal_names,
-)
-from lieid_casadi.recording.readers.registry import (
-    INFLATE_LIMIT,
-    ReadOptions,
-    RecordingFormat,
-    beyond_limit,
-    hash_of_file,
-    library_errors,
 )
 from lieid_casadi.recording.sample_timing import GAP_PERIODS
 
@@ -39,12 +32,12 @@ MEMORY_PART = 1 / 8
 BATCH = 1 << 15  # rows decoded at once
 
 
-def read_parquet(file: Path, options: ReadOptions) -> Measurement:
+def read_parquet(file: Path, options: registry.ReadOptions) -> Measurement:
     """Read a Parquet file; of one beyond an eighth of the memory, means of rows or a part."""
     _, parquet = import_pyarrow(file)
     require_bounded_size(file)
     large = decoded_bytes(file) > MEMORY_PART * memory_bytes()
-    with library_errors(file, "a Parquet file"):
+    with registry.library_errors(file, "a Parquet file"):
         content = parquet.ParquetFile(file)
         stored = content.schema_arrow.names
         names, assumed = signal_names(stored, str(file), options.columns, options.joint_names)
@@ -62,7 +55,7 @@ def read_parquet(file: Path, options: ReadOptions) -> Measurement:
     return replace(
         measurement_of_columns(columns, str(file), options.n),
         name=file.name,
-        source_hash=hash_of_file(file),
+        source_hash=registry.hash_of_file(file),
         warnings=warnings,
     )
 
@@ -75,14 +68,14 @@ def write_parquet(measurement: Measurement, file: Path) -> None:
         parquet.write_table(table, out)
 
 
-FORMAT = RecordingFormat(suffixes=(".parquet",), read=read_parquet, write=write_parquet)
+FORMAT = registry.RecordingFormat(suffixes=(".parquet",), read=read_parquet, write=write_parquet)
 
 
 def require_bounded_size(file: Path) -> None:
     """Refuse a file that decodes to far more than its own size, as no measured signals do."""
     size = decoded_bytes(file)
-    if size > INFLATE_LIMIT and size > LARGEST_RATIO * file.stat().st_size:
-        raise beyond_limit(file, INFLATE_LIMIT)
+    if size > registry.INFLATE_LIMIT and size > LARGEST_RATIO * file.stat().st_size:
+        raise registry.beyond_limit(file, registry.INFLATE_LIMIT)
 
 
 def decoded_bytes(file: Path) -> int:

@@ -13,12 +13,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import MissingDependency, RecordingError
 from lieid_casadi.messages import names_text, shortened
 from lieid_casadi.recording.measurement import Measurement
-from lieid_casadi.recording.readers.registry import (
-    ReadOptions,
-    RecordingFormat,
-    hash_of_file,
-    library_errors,
-)
+from lieid_casadi.recording.readers import registry
 
 MESSAGE = "sensor_msgs/msg/JointState"
 EXPECTED = "a bag that can be read"
@@ -34,7 +29,7 @@ class _JointState(NamedTuple):
     values: dict[str, Array]
 
 
-def read_bag(file: Path, options: ReadOptions) -> Measurement:
+def read_bag(file: Path, options: registry.ReadOptions) -> Measurement:
     """Read one JointState topic at the headers' times; messages of other joints are ignored."""
     wanted, others = options.joint_names, tuple[str, ...]()
     messages, orders = list[_JointState](), list[list[int]]()
@@ -79,17 +74,17 @@ def read_bag(file: Path, options: ReadOptions) -> Measurement:
     stamped = all(message.header_time for message in messages)
     times = [m.header_time if stamped else m.arrival_time for m in messages]
     t = np.array([(time - times[0]) * 1e-9 for time in times])
-    return Measurement(t=t, name=file.name, source_hash=hash_of_file(file), **signals)
+    return Measurement(t=t, name=file.name, source_hash=registry.hash_of_file(file), **signals)
 
 
 def _is_bag(folder: Path) -> bool:
     return (folder / "metadata.yaml").is_file()
 
 
-FORMAT = RecordingFormat(suffixes=(".mcap", ".db3"), read=read_bag, folder=_is_bag)
+FORMAT = registry.RecordingFormat(suffixes=(".mcap", ".db3"), read=read_bag, folder=_is_bag)
 
 
-def _messages(file: Path, options: ReadOptions) -> Iterator[_JointState]:
+def _messages(file: Path, options: registry.ReadOptions) -> Iterator[_JointState]:
     """Yield the messages of the topic."""
     try:
         from rosbags.highlevel import AnyReader
@@ -98,7 +93,7 @@ def _messages(file: Path, options: ReadOptions) -> Iterator[_JointState]:
             f"{file}: bags and MCAP need rosbags: pip install 'lieid-casadi[ros]'"
         ) from error
     with (
-        library_errors(file, EXPECTED),
+        registry.library_errors(file, EXPECTED),
         AnyReader([file], default_typestore=_type_store()) as reader,
     ):
         chosen = _topic(file, reader, options.topic)
