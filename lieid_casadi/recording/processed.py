@@ -17,19 +17,7 @@ from lieid_casadi.errors import (
     RecordingError,
     ShortSegmentWarning,
 )
-from lieid_casadi.recording.filtering import (
-    HIGHEST_CUTOFF,
-    Window,
-    central_difference,
-    decimate,
-    filter_memory,
-    lowpass,
-    sixth_order_difference,
-    smooth_at,
-    straight_at,
-    uniform_time,
-    windows,
-)
+from lieid_casadi.recording import filtering
 from lieid_casadi.recording.measurement import read_only
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.repairs import without_repeats
@@ -155,15 +143,15 @@ class Processed:
         return np.concatenate([self.filter_window(values[w.instants], w) for w in self.windows])
 
     @cached_property
-    def windows(self) -> tuple[Window, ...]:
+    def windows(self) -> tuple[filtering.Window, ...]:
         """Windows that can be filtered one by one with the same result as the whole segment."""
-        margin = filter_memory(self.rate, self.cutoff)
-        return tuple(windows(self.t.size, self.kept, margin))
+        margin = filtering.filter_memory(self.rate, self.cutoff)
+        return tuple(filtering.windows(self.t.size, self.kept, margin))
 
-    def filter_window(self, x: Array, window: Window, axis: int = 0) -> Array:
+    def filter_window(self, x: Array, window: filtering.Window, axis: int = 0) -> Array:
         """Return the rows of one window of :meth:`filter`."""
         values = np.moveaxis(np.asarray(x, dtype=np.float64), axis, 0)
-        low = lowpass(values, self.rate, self.cutoff)
+        low = filtering.lowpass(values, self.rate, self.cutoff)
         return np.moveaxis(low[window.inside], 0, axis)
 
     @cached_property
@@ -256,27 +244,29 @@ def _too_short(segment: Recording, cutoff: float, trim: float) -> str | None:
 def _process_segment(segment: Recording, options: Processing, cutoff: float) -> Processed:
     fresh, repeated = without_repeats(segment)
     rate = sample_rate(fresh.t)
-    if cutoff >= HIGHEST_CUTOFF * rate:
+    if cutoff >= filtering.HIGHEST_CUTOFF * rate:
         raise RecordingError(
             f"{segment.title}: cutoff {cutoff:g} Hz, expected less than "
-            f"{HIGHEST_CUTOFF * rate:.3g} Hz at a rate of {rate:.4g} Hz"
+            f"{filtering.HIGHEST_CUTOFF * rate:.3g} Hz at a rate of {rate:.4g} Hz"
         )
     t = fresh.t
-    times = uniform_time(t, rate)
+    times = filtering.uniform_time(t, rate)
     rate = (times.size - 1) / float(t[-1] - t[0])
     step = max(1, int(rate / max(GRID_OVER_CUTOFF * cutoff, LEAST_GRID)))
     motion = _motion_at(fresh, times, cutoff)
-    tau = None if fresh.tau is None else straight_at(t, fresh.tau, times)
+    tau = None if fresh.tau is None else filtering.straight_at(t, fresh.tau, times)
 
     def straight(values: Array | None) -> Array | None:
-        return None if values is None else read_only(straight_at(t, values, times)[::step])
+        return (
+            None if values is None else read_only(filtering.straight_at(t, values, times)[::step])
+        )
 
     made = Processed(
         t=read_only(times[::step]),
         q=read_only(motion.q[::step]),
         dq=read_only(motion.dq[::step]),
         ddq=read_only(motion.ddq[::step]),
-        tau=None if tau is None else read_only(decimate(tau, rate, step)),
+        tau=None if tau is None else read_only(filtering.decimate(tau, rate, step)),
         temperature=straight(fresh.temperature),
         command=straight(fresh.command),
         payload_label=None if segment.payload_label is None else segment.payload_label[0],
@@ -325,17 +315,17 @@ def _motion_at(part: Recording, times: Array, cutoff: float) -> _Motion:
     """Return the motion of a segment at uniform times (K,), s, for a cut-off of the columns, Hz."""
     rate = (times.size - 1) / float(times[-1] - times[0])
     band = max(MOTION_BAND * cutoff, LEAST_BAND)
-    q = smooth_at(part.t, part.q, times)
-    derivative = central_difference(q, rate)
+    q = filtering.smooth_at(part.t, part.q, times)
+    derivative = filtering.central_difference(q, rate)
     dead_zone = _derivative_dead_zone(q, derivative, rate, band)
     velocity, for_acceleration = derivative, None
     if part.dq is not None:
-        measured = smooth_at(part.t, part.dq, times)
+        measured = filtering.smooth_at(part.t, part.dq, times)
 
         def is_better(factor: float, frequency: float) -> Mask:
             """Mark joints (n,) whose derivative has less noise at a rate than the velocity."""
             step = max(1, int(rate / frequency))
-            noise = noise_spread(decimate(measured, rate, step))
+            noise = noise_spread(filtering.decimate(measured, rate, step))
             return np.asarray(factor * _derivative_noise(q, derivative, rate, step) < noise)
 
         derived = is_better(MUCH_LESS_NOISE, RATE_OVER_BAND * band)
@@ -345,19 +335,21 @@ def _motion_at(part: Recording, times: Array, cutoff: float) -> _Motion:
             for_acceleration = np.where(better, derivative, measured)
         own = noise_dead_zone(measured, kept=band / (0.5 * rate))
         dead_zone = np.where(derived, dead_zone, own)
-    dq = lowpass(velocity, rate, band)
+    dq = filtering.lowpass(velocity, rate, band)
     if part.ddq is not None:
-        ddq = lowpass(smooth_at(part.t, part.ddq, times), rate, band)
+        ddq = filtering.lowpass(filtering.smooth_at(part.t, part.ddq, times), rate, band)
     elif for_acceleration is None:
-        ddq = central_difference(dq, rate)
+        ddq = filtering.central_difference(dq, rate)
         if part.command is not None and part.dq is None:
             # commands are recorded at low rates, and their torque is as exact as the positions
-            exact = lowpass(sixth_order_difference(q, rate), rate, band)
-            ddq = sixth_order_difference(exact, rate)
+            exact = filtering.lowpass(filtering.sixth_order_difference(q, rate), rate, band)
+            ddq = filtering.sixth_order_difference(exact, rate)
     else:
-        ddq = central_difference(lowpass(for_acceleration, rate, band), rate)
+        ddq = filtering.central_difference(filtering.lowpass(for_acceleration, rate, band), rate)
     moving = _moving(dq, dead_zone, rate)
-    return _Motion(lowpass(q, rate, band), np.where(moving, dq, 0.0), ddq, moving, dead_zone)
+    return _Motion(
+        filtering.lowpass(q, rate, band), np.where(moving, dq, 0.0), ddq, moving, dead_zone
+    )
 
 
 def _moving(dq: Array, dead_zone: Array, rate: float) -> Mask:
@@ -374,7 +366,7 @@ def _moving(dq: Array, dead_zone: Array, rate: float) -> Mask:
 
 def _derivative_noise(q: Array, derivative: Array, rate: float, step: int) -> Array:
     """Return the noise (n,) of the derivative, with its errors of truncation and rounding."""
-    slow = decimate(derivative, rate, step)
+    slow = filtering.decimate(derivative, rate, step)
     # the error of a central difference of step h is h²/6 of the third derivative
     bend = np.diff(slow, n=2, axis=0) / (6.0 * step**2)
     missed = 1.4826 * np.median(np.abs(bend), axis=0)
@@ -389,6 +381,6 @@ def _derivative_noise(q: Array, derivative: Array, rate: float, step: int) -> Ar
 def _derivative_dead_zone(q: Array, derivative: Array, rate: float, band: float) -> Array:
     """Return the dead zone (n,) of the low-passed derivative; a quantum is one step a period."""
     step = max(1, int(rate / (RATE_OVER_BAND * band)))
-    low = decimate(derivative, rate, step)
+    low = filtering.decimate(derivative, rate, step)
     kept = min(1.0, band / (0.5 * rate / step))
     return noise_dead_zone(low, kept=kept, quantum=resolution(q) * min(band, 0.5 * rate))
