@@ -40,9 +40,9 @@ def identify_each_stiffness(model: Model, recordings: Sequence[Recording], **opt
         )
     ratios, std, known = np.ones(n), np.zeros(n), np.zeros(n, dtype=bool)
     for _ in range(ROUNDS):
-        stated = _with_stiffnesses(model, ratios)
+        stated, given = _stated(model, recordings, ratios)
         gained = stated.with_effect("torque_gain", joints=range(1, n))
-        fit = identify(gained, _by_laws(recordings, stated), **options | {"method": "wls"})
+        fit = identify(gained, given, **options | {"method": "wls"})
         rows = [row for row in fit.parameter_table() if row["name"] == "torque_gain.g"]
         factor = 1.0 + np.array([max(row["value"], -MOST_GAIN) for row in rows])
         spread = np.array([np.inf if row["std"] is None else row["std"] for row in rows]) / factor
@@ -54,8 +54,7 @@ def identify_each_stiffness(model: Model, recordings: Sequence[Recording], **opt
             break
     if not settled:
         known[:], ratios[:] = False, 1.0
-    stated = _with_stiffnesses(model, ratios)
-    final = identify(stated, _by_laws(recordings, stated), **options)
+    final = identify(*_stated(model, recordings, ratios), **options)
     found = [f"joint {j + 1} {ratios[j]:.3g} ± {std[j]:.2g}" for j in np.flatnonzero(known)]
     if not known[1:].all():
         others = ", ".join(f"joint {j + 1}" for j in range(1, n) if not known[j])
@@ -64,19 +63,15 @@ def identify_each_stiffness(model: Model, recordings: Sequence[Recording], **opt
     return replace(final, warnings=(*final.warnings, note))
 
 
-def _with_stiffnesses(model: Model, ratios: Array) -> Model:
-    """Return the model with laws of unknown stiffness times ratios (n,)."""
-    laws = model.robot.drives
-    assert laws is not None
-    changed = [law.relative_to(float(ratio)) for law, ratio in zip(laws, ratios, strict=True)]
-    robot = model.robot.with_drives(changed)
-    return Model.of_placements(robot, model.placements, library=model.library)
-
-
-def _by_laws(recordings: Sequence[Recording], model: Model) -> list[Recording]:
-    laws = model.robot.drives
-    assert laws is not None
-    return [recording.with_drives(laws) for recording in recordings]
+def _stated(
+    model: Model, recordings: Sequence[Recording], stiffness: Array, *, relative: bool = True
+) -> tuple[Model, list[Recording]]:
+    """Return model and recordings whose laws have the unknown stiffnesses times numbers (n,)."""
+    pairs = zip(model.robot.drives or (), stiffness.tolist(), strict=True)
+    laws = [replace(law.relative_to(k), relative=relative) for law, k in pairs]
+    robot = model.robot.with_drives(laws)
+    stated = Model.of_placements(robot, model.placements, library=model.library)
+    return stated, [recording.with_drives(robot.drives or laws) for recording in recordings]
 
 
 def identify_with_known_masses(
@@ -99,9 +94,8 @@ def identify_with_known_masses(
         )
     relative = identify(model, recordings, **options)
     stiffness, std, assumed = _stiffness(relative, masses)
-    known = robot.with_drives([drive.scaled(stiffness) for drive in robot.drives])
-    absolute = Model.of_placements(known, model.placements, library=model.library)
-    fit = identify(absolute, _by_laws(recordings, absolute), **options)
+    all_joints = np.full(robot.n, stiffness)
+    fit = identify(*_stated(model, recordings, all_joints, relative=False), **options)
     note = RelativeTorqueWarning(
         f"the known masses give a drive stiffness of {stiffness:.4g} ± {std:.2g} N·m/rad "
         f"({100.0 * std / stiffness:.3g} %), one for all joints; all parameters share this error, "

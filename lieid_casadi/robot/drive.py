@@ -103,11 +103,6 @@ class Drive:
         limit = min(self.proportional_limit, self.stiffness * error)
         return replace(self, proportional_limit=limit)
 
-    def scaled(self, stiffness: float) -> Drive:
-        """Return a law of unknown stiffness with a stiffness, N·m/rad, that became known."""
-        own = self.relative_to(stiffness)
-        return replace(own, relative=False)
-
     def relative_to(self, ratio: float) -> Drive:
         """Return a law of unknown stiffness with K, its damping and its limits times a ratio."""
         scaled = ("stiffness", "damping", "derivative", "proportional_limit", "torque_limit")
