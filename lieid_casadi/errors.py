@@ -225,6 +225,10 @@ class SameRecordingWarning(LieidWarning):
     """A test on a recording that the fit was made from."""
 
 
+class BeyondTrainingWarning(LieidWarning):
+    """Motion outside the range of the training data of a smooth function, which is zero there."""
+
+
 class TorqueConstantsWarning(LieidWarning):
     """Currents were converted by other torque constants than those of the fit."""
 

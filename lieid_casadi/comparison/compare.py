@@ -14,6 +14,7 @@ from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.comparison.noise_floor import noise_floor
 from lieid_casadi.comparison.series import largest_errors, series_along
 from lieid_casadi.errors import (
+    BeyondTrainingWarning,
     LieidWarning,
     SameRecordingWarning,
     unique_warnings,
@@ -26,8 +27,11 @@ from lieid_casadi.identification.recording_checks import (
     check_torque_constants,
 )
 from lieid_casadi.identification.regression.design_matrix import usable_rows
+from lieid_casadi.identification.regression.variable_projection import signal_of
 from lieid_casadi.recording import Processed, Recording, check, process
 from lieid_casadi.recording.recording import listed
+
+BEYOND = 0.1  # of the samples outside a range of training from which they are reported
 
 
 def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison:
@@ -112,7 +116,7 @@ def compare_segments(
         warnings=(),
     )
     found = [*warnings, *(w for segment in segments for w in segment.warnings)]
-    found += _trained_on(fit, comparison)
+    found += [*_trained_on(fit, comparison), *_beyond_training(fit, segments)]
     return replace(comparison, warnings=unique_warnings(found))
 
 
@@ -153,6 +157,33 @@ def _trained_on(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
             "than on other recordings; compare with a recording that was not used"
         )
     ]
+
+
+def _beyond_training(fit: Fit, segments: Sequence[Processed]) -> list[LieidWarning]:
+    """Return a warning for each smooth function that the motion leaves: it is zero out there."""
+    found: list[LieidWarning] = []
+    ends = iter(fit.shapes)
+    for placement in fit.model.placements:
+        outside, ranges = [], []
+        for shape, end in zip(placement.effect.shapes, ends, strict=False):
+            if shape.data is None:
+                continue
+            values = signal_of(shape.data, placement.joint, segments)
+            if values is None:
+                continue
+            beyond = {"low": values < end, "high": values > end, "size": np.abs(values) > end}
+            outside.append(beyond[shape.data.end])
+            ranges.append(f"{shape.name} = {end:.3g} {shape.unit}")
+        part = float(np.mean(np.any(outside, axis=0))) if outside else 0.0
+        if part > BEYOND:
+            found.append(
+                BeyondTrainingWarning(
+                    f"{100 * part:.0f} % of the samples are outside the range in which "
+                    f"{placement.label} was trained ({', '.join(ranges)}), and it falls to zero "
+                    "there: train with motion through the whole range"
+                )
+            )
+    return found
 
 
 _NUMBER = r"((?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?)"

@@ -38,7 +38,6 @@ from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.errors import (
     LieidError,
     NoSolution,
-    SameRecordingWarning,
     unique_warnings,
 )
 from lieid_casadi.identification import Fit
@@ -148,8 +147,7 @@ class MissingEffects:
                     *first.model.unusable_effects,
                     *(w for w in first.warnings if not isinstance(w, OF_NUMBERS)),
                     *fit.warnings,
-                    *_same_recording(first, self.tests),
-                    *(before.warnings if before else ()),
+                    *(after.warnings if after else ()),
                     *late_friction(last, options.worth),
                 ]
             ),
@@ -537,15 +535,3 @@ def _errors(fit: Fit, compared: Comparison | None) -> dict[str, Array | None]:
         "rms_test_moving": None if compared is None else compared.rms_moving,
         "rms_cv": fit.rms_cv,
     }
-
-
-def _same_recording(fit: Fit, tests: Sequence[Recording]) -> list[SameRecordingWarning]:
-    trained = {source.sha256 for source in fit.provenance.recordings}
-    return [
-        SameRecordingWarning(
-            f"the test {r.name or 'recording'} is also a training recording, so that it cannot "
-            "confirm the result; use a recording of other motion"
-        )
-        for r in tests
-        if r.source_hash in trained
-    ]

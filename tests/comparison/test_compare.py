@@ -21,6 +21,7 @@ from lieid_casadi.comparison.series import (
     strongest_at,
 )
 from lieid_casadi.errors import (
+    BeyondTrainingWarning,
     ModelError,
     RecordingError,
     SameRecordingWarning,
@@ -184,6 +185,27 @@ def test_testing_on_training_data_is_reported(tmp_path, train, test, reported):
     part = whole if test == (None, None) else whole.cut(*test)
     comparison = lieid.compare(arm.fit(whole.cut(*train)), part)
     assert any(isinstance(w, SameRecordingWarning) for w in comparison.warnings) is reported
+
+
+def test_motion_beyond_the_training_of_a_smooth_function_is_a_warning():
+    model = lieid.Model(lieid.robots.two_link(), f"{arm.EFFECTS},smooth/q.dq:2")
+    t, q, dq, ddq = arm.motion(24.0, seed=1)
+    tau = arm.torque(q, dq, ddq)
+    small = lieid.Recording.from_arrays(t, q / 4, dq / 4, arm.torque(q / 4, dq / 4, ddq / 4))
+    whole = lieid.Recording.from_arrays(t, q, dq, tau)
+
+    def beyond(train, test):
+        found = lieid.compare(lieid.identify(model, train), test).warnings
+        return [str(w) for w in found if isinstance(w, BeyondTrainingWarning)]
+
+    (text,) = beyond(small, whole)
+    part = float(text.partition(" %")[0]) / 100.0
+    low, high = np.percentile(q[:, 1] / 4, [0.5, 99.5])
+    fast = np.percentile(np.abs(dq[:, 1]) / 4, 99.5)
+    outside = (q[:, 1] < low) | (q[:, 1] > high) | (np.abs(dq[:, 1]) > fast)
+    assert part == pytest.approx(np.mean(outside), abs=0.03)
+    assert "smooth/q.dq:2" in text
+    assert not beyond(whole, small)
 
 
 def test_recordings_that_cannot_be_compared_are_refused(fit):

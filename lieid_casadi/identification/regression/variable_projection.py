@@ -89,12 +89,19 @@ def shapes_of_data(model: Model, segments: Sequence[Processed]) -> Array:
     return np.array(ends, dtype=float)
 
 
-def _end(data: DataRange, joint: int, segments: Sequence[Processed]) -> float:
+def signal_of(data: DataRange, joint: int, segments: Sequence[Processed]) -> Array | None:
+    """Return the signal (K,) of a range over all segments; None if it was not measured."""
     name = "tau" if data.signal == "load" else data.signal
     of_all = [getattr(segment, name) for segment in segments]
     if any(values is None for values in of_all):
+        return None
+    return np.concatenate([x[:, joint if data.joint is None else data.joint] for x in of_all])
+
+
+def _end(data: DataRange, joint: int, segments: Sequence[Processed]) -> float:
+    values = signal_of(data, joint, segments)
+    if values is None:
         return 0.0
-    values = np.concatenate([x[:, joint if data.joint is None else data.joint] for x in of_all])
     if data.end == "size":
         return float(np.percentile(np.abs(values), 100.0 - TAIL))
     return float(np.percentile(values, TAIL if data.end == "low" else 100.0 - TAIL))
