@@ -53,7 +53,9 @@ def atomic_binary(path: str | Path, *, private: bool = False) -> Iterator[Binary
             file.flush()
             os.fsync(file.fileno())
             if status is not None and not private:
-                _copy_owner_and_mode(status, file.fileno())
+                with contextlib.suppress(OSError):  # only a privileged user may give files away
+                    os.fchown(file.fileno(), status.st_uid, status.st_gid)
+                os.fchmod(file.fileno(), stat.S_IMODE(status.st_mode))
             os.replace(temporary, target)
 
 
@@ -171,9 +173,3 @@ def _write_through(path: str | Path, status: os.stat_result, content: memoryview
         sys.stdout.flush()
     with open(path if stream is None else os.dup(stream), "wb") as file:
         file.write(content)
-
-
-def _copy_owner_and_mode(status: os.stat_result, handle: int) -> None:
-    with contextlib.suppress(OSError):  # only a privileged user may give files away
-        os.fchown(handle, status.st_uid, status.st_gid)
-    os.fchmod(handle, stat.S_IMODE(status.st_mode))

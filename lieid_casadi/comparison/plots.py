@@ -202,11 +202,7 @@ def draw_errors(
     recordings: str,
     ax: Axes | None = None,
 ) -> Figure:
-    """Draw the errors (n,) of successive models relative to the first one, joint by joint.
-
-    ``reference`` has name and values (n,) of the errors of a complete model: the noise floor.
-    ``recordings`` are those on which the errors were measured: ``test``.
-    """
+    """Draw the errors (n,) of successive models relative to the first one, joint by joint."""
     from matplotlib import colormaps
 
     colours = colormaps["viridis"]

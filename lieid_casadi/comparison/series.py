@@ -103,10 +103,7 @@ APART = 1.0  # s, smallest time between two errors of one joint
 
 @dataclass(frozen=True)
 class LargeError:
-    """An instant at which the error (measured − predicted) of a joint, from 0, is large.
-
-    ``time`` is on the recording's clock, s; units are N·m and rad, N and m for a prismatic joint.
-    """
+    """An instant at which the error (measured − predicted) of a joint, from 0, is large."""
 
     recording: str
     time: float

@@ -24,8 +24,7 @@ KEEP = 2000  # libraries of about 60 kB; beyond it the oldest are deleted
 def cache_folder() -> Path:
     """Return the folder of compiled libraries.
 
-    It is ``$LIEID_CACHE_DIR``, else ``lieid-casadi`` in ``$XDG_CACHE_HOME`` or ``~/.cache``. A
-    relative ``XDG_CACHE_HOME`` is ignored, as its specification asks; without a home directory it
+    A relative ``XDG_CACHE_HOME`` is ignored, as its specification asks; without a home directory it
     is a folder of the user's own among the temporary files.
     """
     stated = os.environ.get("LIEID_CACHE_DIR")

@@ -48,12 +48,10 @@ VECTORS = Dialect(
 def kernel_source(sparse: SparseFunction) -> str:
     """Return the C source of a kernel that evaluates a sparse matrix on LIEID_LANES samples.
 
-    The kernel ``void lieid_kernel(in, rows, ld)`` reads value j of argument a at
-    ``in[a] + j * LIEID_LANES`` (constants at ``in[a][j]``), and writes the k-th nonzero of
-    matrix row i, columns ascending, to ``rows[i] + k * ld``. Further symbols hold the shape, the
-    place of each nonzero (row after row) and the arguments with their widths, 0 if unused.
-
-    Raises `UnsupportedOperation`: an operation of the expression has no C form.
+    The kernel ``void lieid_kernel(in, rows, ld)`` reads value j of argument a at ``in[a] + j *
+    LIEID_LANES`` (constants at ``in[a][j]``), and writes the k-th nonzero of matrix row i, columns
+    ascending, to ``rows[i] + k * ld``. Further symbols hold the shape, the place of each nonzero
+    (row after row) and the arguments with their widths, 0 if unused.
     """
     function = sparse.function
     names = [str(function.name_in(k)) for k in range(function.n_in())]

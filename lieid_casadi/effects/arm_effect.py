@@ -175,8 +175,7 @@ class ArmEffect(Effect):
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX | None:
         """Return the columns (n, c) at one instant, None if they depend on more than one.
 
-        ``values`` (c,): coefficients, numbers or symbols. The columns times the coefficients are
-        the whole change that these make.
+        The columns times the coefficients are the whole change that these make.
         """
         return ca.SX(arm.load.shape[0], len(self.coefficients)) if self.export_note else None
 

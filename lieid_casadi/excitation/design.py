@@ -262,8 +262,7 @@ def find_start_pose(
     """Return the middle of the joint ranges or, near a limit, the random pose farthest from all.
 
     Poses near a singular one are passed over; where all are, the one farthest from it is taken.
-    ``travel`` (n,) is the distance that each joint will move to either side, rad. A `NoSolution`
-    names the limit that the best pose violates.
+    ``travel`` (n,) is the distance that each joint will move to either side, rad.
     """
     half = RANGE_TRIED * limits.units[:, 0]
     if travel is not None:

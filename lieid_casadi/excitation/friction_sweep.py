@@ -107,9 +107,7 @@ def friction_sweep(
     ``speeds`` (k,) are in rad/s, by default the paper's 28 from 0.1 to 30 °/s; ``seconds`` is the
     longest part at constant speed: slow runs cover a smaller part of the range. The default start
     pose is one around which the joint can move as far as the longest run needs or, where there is
-    none, down to a quarter of it. Other arguments are those of `excite`; samples are at ``rate``
-    in Hz. `ExcitationError`: no such joint, a start pose outside the limits; `NoSolution` names the
-    limit that the runs violate.
+    none, down to a quarter of it.
     """
     model, fit = model_and_fit(source)
     robot = model.robot

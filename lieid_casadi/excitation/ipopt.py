@@ -115,16 +115,12 @@ class SampledConstraints:
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A point z (m,) of the search with the objective, the motion and the limits there.
-
-    ``excess`` has the scaled excesses (k, N), ``violation`` is the largest: at most 0 where every
-    limit holds with its margin.
-    """
+    """A point z (m,) of the search with the objective, the motion and the limits there."""
 
     z: Array
     outcome: ObjectiveValue
     motion: MotionSamples
-    excess: Array
+    excess: Array  # (k, N) scaled
 
     @classmethod
     def at(cls, constraints: SampledConstraints, objective: Objective, z: Array) -> Iterate:

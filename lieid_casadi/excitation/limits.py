@@ -163,9 +163,8 @@ def motion_range(
 ) -> MotionRange:
     """Return the limits of a robot, with ``margin`` of its velocity limits.
 
-    An acceleration, one number or (n,) in rad/s², replaces the robot's own; where neither is
-    stated it is 3. An `ExcitationError` names a joint without a velocity limit, or with an empty
-    range.
+    An acceleration, one number or (n,) in rad/s², replaces the robot's own; where neither is stated
+    it is 3.
     """
     position = np.stack([robot.limit("position_lower"), robot.limit("position_upper")], axis=1)
     position = np.where(np.isnan(position), [-np.inf, np.inf], position)

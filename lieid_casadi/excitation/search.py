@@ -24,16 +24,12 @@ NEG_LOG_DET_SLACK = 0.5  # per parameter: Δ₂ above what the first stage reach
 
 @dataclass(frozen=True, eq=False)
 class StartAttempt:
-    """Result of one start: the best trajectory that it led to, or the reason why there is none.
-
-    ``z`` (m,) are the free variables, ``rank`` compares trajectories (smaller is better); None and
-    NaN without one.
-    """
+    """Result of one start: the best trajectory that it led to, or the reason why there is none."""
 
     seed: int
     seconds: float
-    z: Array | None = None
-    rank: float = np.nan
+    z: Array | None = None  # (m,) free variables
+    rank: float = np.nan  # smaller is better
     condition_number: float = np.nan
     neg_log_det: float = np.nan
     iterations: int = 0
@@ -205,8 +201,7 @@ def solve_all(
 ) -> list[StartAttempt]:
     """Return one attempt per seed; one without a solution has the reason.
 
-    An interrupt (Ctrl-C) ends the search; complete attempts and the best iterate of the current
-    one are kept. Before a feasible trajectory was found it is raised.
+    An interrupt (Ctrl-C) ends the search; what is feasible so far is kept, or else it is raised.
     """
     attempts: list[StartAttempt] = []
     for k, seed in enumerate(seeds):

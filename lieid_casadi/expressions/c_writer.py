@@ -73,7 +73,6 @@ def statements(
     element of the result and C of its value → the statement that writes it. ``inputs_in_place``:
     whether ``lines`` declare each input before its first use. Otherwise the caller declares them
     from ``inputs``, before all lines, so that results may overwrite arguments.
-    Raises `UnsupportedOperation`: an operation without a C form.
     """
     lines: list[str] = []
     inputs: dict[Input, None] = {}  # ordered, each once

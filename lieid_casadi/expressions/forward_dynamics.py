@@ -29,7 +29,7 @@ def acceleration(torque: TorqueExpressions) -> ca.SX:
     """
     m = torque.motion
     rigid = torque.mass_matrix
-    at_zero = _bias(torque, ca.SX.zeros(torque.n))
+    at_zero = ca.substitute(torque.inverse_dynamics, m.ddq, ca.SX.zeros(torque.n))
     if not _is_nonlinear(torque):
         return _solve_symmetric(rigid, torque.tau - at_zero)
     ddq = _solve_symmetric(rigid, torque.tau - at_zero)
@@ -40,10 +40,6 @@ def acceleration(torque: TorqueExpressions) -> ca.SX:
         )
         ddq = ddq - ca.solve(matrix, residual)
     return ca.densify(ddq)
-
-
-def _bias(torque: TorqueExpressions, ddq: ca.SX) -> ca.SX:
-    return ca.substitute(torque.inverse_dynamics, torque.motion.ddq, ddq)
 
 
 def _is_nonlinear(torque: TorqueExpressions) -> bool:

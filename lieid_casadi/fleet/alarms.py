@@ -450,7 +450,6 @@ def acknowledge(
     """Close alarms of an arm, or of one joint from 1, and start new baselines; return ``last``.
 
     ``last`` is the last night before the repair, by default the arm's last night in the history.
-    FleetError: the history has no such arm or joint, or the arm no runs.
     """
     closed = open_alarms(history, serial, joint)
     last = last or _last_night(history, serial)

@@ -133,10 +133,8 @@ def run_on_cluster(
 ) -> None:
     """Run arm-nights in batches; each batch is passed on as soon as it is there.
 
-    A batch whose worker is lost, or that exceeds the timeout, is run again night by night: only
-    the arm-night that is the reason fails, after ``options.losses`` further attempts. The worker of
-    one that exceeds the timeout is started again. ``fits`` maps ``fit_sha256`` to the content of
-    the fit's file. ClusterLost: no scheduler or workers any more.
+    A batch whose worker is lost, or that exceeds the timeout, is run again night by night: only the
+    arm-night that is the reason fails, after ``options.losses`` further attempts.
     """
     from distributed import CancelledError, wait
     from distributed.comm import CommClosedError

@@ -149,9 +149,7 @@ class History(AbstractContextManager["History"]):
     """A history, open for changes or, with ``read_only``, for reading.
 
     What a killed process has left beside the file is continued, unless the file was changed since.
-    With ``read_only`` the history must exist, without ``new`` as well. ``wait`` is the time, s, to
-    wait for another process that changes it.
-    FleetError: another process changes it, or the file is not a history.
+    With ``read_only`` the history must exist, without ``new`` as well.
     """
 
     def __init__(

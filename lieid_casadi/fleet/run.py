@@ -57,9 +57,6 @@ def run_fleet(
     """Diagnose the recordings that the history does not have, and record the results.
 
     Every batch is committed when it is there: a call that ends early is continued by the next.
-    ``newest`` is the last night on which every arm is expected to have recorded (default:
-    yesterday, UTC); ``rerun`` also runs what an earlier method of diagnosis has done. ``progress``
-    is called with the numbers of arm-nights that are finished, and of all.
     """
     settings, start = options or RunOptions(), time.monotonic()
     expected = newest or datetime.now(UTC).date() - timedelta(days=1)

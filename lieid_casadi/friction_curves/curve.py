@@ -141,21 +141,14 @@ def friction_curve(
     *,
     processing: Processing | None = None,
 ) -> FrictionCurve:
-    """Return the friction of one joint from its forward and backward motion.
+    """Return the friction of one joint, from 0, from its forward and backward motion.
 
-    Where link parameters are known, the difference of the rigid torque (due to different
-    accelerations and velocities) is subtracted. Suitable are runs at constant speed and any other
-    motion that passes the same positions in both directions while the other joints stand still.
-    Samples near reversals, within the length of the filter, are left out.
-
-    ``arm``: source of link parameters: identified ones and armatures of a fit, or nominal ones;
-    ``recordings``: recordings with torques; ``joint``: from 0; ``processing``: filter options; by
-    default the cut-off is chosen from the spectrum. The load that friction may depend on is the
-    rigid torque of a fit, or the mean torque of both directions for a robot, whose inertias are
-    nominal.
-    Raises `RecordingError`: the joint never moves or moves in one direction only, or passes no
-    position in both directions. Raises `ModelError`: the arm does not have this joint, or
-    recordings have no torque or are of another arm.
+    Suitable are runs at constant speed and any other motion that passes the same positions in both
+    directions while the other joints stand still. The difference of the rigid torque (due to
+    different accelerations and velocities) is subtracted where link parameters are known: those
+    identified of a fit, or nominal ones. The load that friction may depend on is the rigid torque
+    of a fit, or the mean torque of both directions for a robot. Samples near reversals, within the
+    length of the filter, are left out.
     """
     given = listed(recordings)
     robot = arm.model.robot if isinstance(arm, Fit) else arm

@@ -64,12 +64,7 @@ def steady_columns(
     position: ArrayLike = 0.0,
     time: float = 0.0,
 ) -> Array:
-    """Return half the difference (P, m) of the effects' columns at +speed and −speed.
-
-    ``joint``: moving joint, from 0; the others are at rest; ``speed`` (P,): positive speeds, rad/s;
-    ``load`` (P,): load torque of the joint, N·m; ``position`` (P,): joint position, rad; ``time``:
-    time since the start of the recording, s.
-    """
+    """Return half the difference (P, m) of the effects' columns at +speed and −speed (P,)."""
     speeds = np.atleast_1d(np.asarray(speed, dtype=float))
     velocities = np.concatenate([speeds, -speeds])
     # two samples of each velocity, the first one far away: effects with memory reach steady state
@@ -211,11 +206,8 @@ def fit_friction(
     many starting points; the linear coefficients follow for each of them by bounded linear least
     squares (variable projection).
 
-    ``effects``: effects of speed and load, such as ``"coulomb,viscous,load_friction"``, without
-    joint or with that of the curve; by default Coulomb, viscous and Stribeck friction, and load
-    friction where the load varies.
-    Raises `EffectError`: an effect is unknown, acts on or from another joint, or depends on more
-    than speed and load.
+    ``effects``: effects of speed and load, such as ``"coulomb,viscous,load_friction"``; by default
+    Coulomb, viscous and Stribeck friction, and load friction where the load varies.
     """
     model = Model.of_placements(curve.robot, _placements(curve, effects))
     compiled, ranges = compile(model), ShapeRange.of(model.shapes)

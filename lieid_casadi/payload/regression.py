@@ -35,7 +35,6 @@ from lieid_casadi.identification.regression.least_squares import (
 )
 from lieid_casadi.identification.regression.variable_projection import shape_columns
 from lieid_casadi.identification.uncertainty.covariance import EXACT, hac_covariance, scaled_axes
-from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import parameter_transport
 
 Indices = NDArray[np.intp]
@@ -74,7 +73,9 @@ class LoadedRun:
         self.transport = parameter_transport(fit.model.robot.tool)
         self.to_base = base.combination[:, BODY * (n - 1) : BODY * n] @ self.transport
         self.names = [p.name.split(".")[0] for p in fit.model.base_columns]
-        self.drifting = _per_recording(fit.model)
+        effects = [p.effect for p in fit.model.placements for _ in p.effect.coefficients]
+        drifting = [*[False] * (BODY * n), *(effect.per_recording for effect in effects)]
+        self.drifting = np.array(drifting)[list(base.kept)]
         self.values = np.where(self.drifting, 0.0, fit.values)
         self.root = _root(fit.covariance)
         first = design.segments[0]
@@ -190,12 +191,6 @@ class LoadedRun:
             if len(error):
                 noise[j] = max(float(np.sqrt(np.mean(error**2))) * taken, 1e-12)
         return noise
-
-
-def _per_recording(model: Model) -> NDArray[np.bool_]:
-    """Return which base columns (p,) are coefficients that hold for one recording only."""
-    effects = [p.effect.per_recording for p in model.placements for _ in p.effect.coefficients]
-    return np.array([*[False] * (BODY * model.n), *effects])[list(model.base.kept)]
 
 
 def _root(covariance: Array) -> Array:

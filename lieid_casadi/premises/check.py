@@ -375,8 +375,7 @@ def _finding(
 def _reversed(state: _State, *, every: bool) -> tuple[Finding, Correction] | None:
     """Return the opposite sign of the torque of joints that friction drives instead of braking.
 
-    Of ``every`` joint, or of one. A free fit has the same error with either sign, and negative
-    masses with the wrong one.
+    A free fit has the same error with either sign, and negative masses with the wrong one.
     """
     base = state.confirmed.base
     moving = np.mean(state.samples.moving, axis=0) > LEAST_MOVING

@@ -94,11 +94,6 @@ class Samples:
         used = zip(self.tau.T, self.used.T, strict=True)
         return np.maximum([np.std(tau[at]) for tau, at in used], 1e-9)
 
-    def thinned(self, most: int) -> Samples:
-        """Return at most so many instants, evenly spaced."""
-        step = -(-len(self.t) // most)
-        return self if step <= 1 else self.at(np.arange(step // 2, len(self.t), step))
-
     def at(self, rows: Index) -> Samples:
         """Return some of the instants."""
         return replace(self, **{field: getattr(self, field)[rows] for field in PER_ROW})

@@ -111,7 +111,9 @@ class Screen:
     @cached_property
     def thin(self) -> plain_fit.Samples:
         """At most ``most`` of the samples."""
-        return self.samples.thinned(self.most)
+        count = len(self.samples.t)
+        step = -(-count // self.most)
+        return self.samples.at(np.arange(step // 2, count, step)) if step > 1 else self.samples
 
     @cached_property
     def rigid(self) -> Array:

@@ -195,15 +195,8 @@ def process(
 ) -> tuple[Processed, ...]:
     """Return uniform, differentiated signals of every segment of the recordings.
 
-    Without a cut-off in the options one is chosen for all recordings together (the median of
-    :func:`choose_cutoff` over the recordings). Pass ``Processing(cutoff=...)`` with the cut-off
-    of the training data when processing a test.
-
-    Raises
-    ------
-    RecordingError
-        Stamps that are not in seconds, no segment long enough after trimming, or a cut-off
-        beyond what the rate can show.
+    Without a cut-off in the options one is chosen for all recordings together: the median of
+    :func:`choose_cutoff`. A test is processed with the cut-off of the training data.
     """
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not given:

@@ -234,7 +234,10 @@ def repeats(recording: Measurement) -> Mask:
     if len(length) < 3:
         return found
     step = np.abs(np.diff(recording.q[new[:-1]], axis=0))
-    least = np.maximum(QUANTA * _quantum(step), PART_OF_STEP * np.sqrt(np.mean(step**2, axis=0)))
+    above_rounding = step > 1e-9 * step.max(axis=0, initial=0.0)
+    quantum = np.where(above_rounding, step, np.inf).min(axis=0)
+    quantum = np.where(np.isfinite(quantum), quantum, 0.0)
+    least = np.maximum(QUANTA * quantum, PART_OF_STEP * np.sqrt(np.mean(step**2, axis=0)))
     moving = np.pad(step > least, ((1, 1), (0, 0)), constant_values=True)
     moves = np.any(moving[:-1] & moving[1:], axis=1)  # into a run and out of it
     for k in np.flatnonzero(moves & (length > 1) & (length <= LONG * np.median(length) + 1)):
@@ -244,12 +247,6 @@ def repeats(recording: Measurement) -> Mask:
 
 def _equal_rows(x: Array) -> Mask:
     return np.asarray(np.all(x[1:] == x[:-1], axis=1))
-
-
-def _quantum(step: Array) -> Array:
-    """Return the smallest step (n,) above rounding."""
-    smallest = np.where(step > 1e-9 * step.max(axis=0, initial=0.0), step, np.inf).min(axis=0)
-    return np.where(np.isfinite(smallest), smallest, 0.0)
 
 
 def _uniform(t: Array, period: float, removed: int) -> tuple[Array, bool]:

@@ -46,9 +46,8 @@ def table_section(
 ) -> Section:
     """Return a section of emphasized sentences, facts, tables and notes, in this order.
 
-    Tables without rows are left out; with ``titles``, each has its own heading. ``links`` are texts
-    of cells and their anchors in the page, ``text`` headings of columns that are aligned left (as
-    long texts are anyway), and ``weak`` rows are grey.
+    Tables without rows are left out; ``links`` are texts of cells and their anchors in the page,
+    ``text`` headings of columns that are aligned left (as long texts are anyway).
     """
     data = {
         "title": title,

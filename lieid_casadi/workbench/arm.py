@@ -33,14 +33,10 @@ class ArmMesh:
 
 @dataclass(frozen=True, eq=False)
 class ArmMotion:
-    """Poses of the base and the links in the base frame, ``poses`` (F, n + 1, 4, 4).
+    """Poses of the base and the links in the base frame, and the box around all positions, m."""
 
-    ``times`` (F,) are on the motion's own clock, s; ``centre`` and ``radius`` are those of the
-    box around all positions, m.
-    """
-
-    times: Array
-    poses: Array
+    times: Array  # (F,) on the motion's own clock, s
+    poses: Array  # (F, n + 1, 4, 4)
     centre: Array
     radius: float
 

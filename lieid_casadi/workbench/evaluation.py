@@ -103,10 +103,7 @@ class Evaluation:
     """A fitted model compared with all recordings.
 
     It is ``exact`` unless it was fitted to parts of the recordings (its errors are then the larger
-    ones of two fits), and ``complete`` if it has the standard deviations and the noise floor of
-    this model, too. ``train`` compares with the recordings that were fitted, ``test`` with the
-    others; their series are named by the recordings' titles. ``cutoff`` is that of the filter in
-    ``processing``, Hz.
+    ones of two fits), and ``complete`` if it has standard deviations and a noise floor of its own.
     """
 
     exact: bool

@@ -210,11 +210,6 @@ def serve_pages(
     """Serve what ``pages`` registers for a token until the process is asked to end.
 
     ``ready`` is called with the URL once it can be opened, ``close`` at the end.
-
-    Raises
-    ------
-    UsageError
-        A port that is busy or not allowed.
     """
     logging.getLogger("nicegui").setLevel(logging.ERROR)
     with listening_socket(port) as listener:

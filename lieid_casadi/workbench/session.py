@@ -111,7 +111,6 @@ class WorkerSetup:
     """What a worker process runs with: picklable functions of the command line.
 
     ``prepare`` is called once, before anything is opened: it loads the user's file of effects.
-    ``robot`` and ``read`` load the robot and the recordings of inputs with all of their options.
     """
 
     prepare: Callable[[], None]
@@ -169,19 +168,15 @@ class ProposedEffect:
 
 @dataclass(frozen=True)
 class FoundEffects:
-    """Result of a diagnosis of a model with ``effects``.
-
-    ``unexplained`` are sentences on the residual, ``model`` the effects of the final model, and
-    ``path`` the unseen error of every joint after each step, N·m.
-    """
+    """Result of a diagnosis of a model with ``effects``."""
 
     verdict: str
     sentence: str
     proposed: tuple[ProposedEffect, ...]
     effects: tuple[str, ...]
-    unexplained: tuple[str, ...] = ()
-    model: tuple[str, ...] = ()
-    path: tuple[Numbers, ...] = ()
+    unexplained: tuple[str, ...] = ()  # sentences on the residual
+    model: tuple[str, ...] = ()  # effects of the final model
+    path: tuple[Numbers, ...] = ()  # unseen error of every joint after each step, N·m
     summary: str = ""  # by how much the error falls with all of them
 
     @property
@@ -215,16 +210,12 @@ class StepErrors:
 
 @dataclass(frozen=True)
 class ModelStep:
-    """One entry of the history: a model, and what is left out of the recordings.
-
-    ``effects`` are labels of all placements (``stribeck:4``); ``errors`` are None until they are
-    computed.
-    """
+    """One entry of the history: a model, and what is left out of the recordings."""
 
     title: str
-    effects: tuple[str, ...]
+    effects: tuple[str, ...]  # labels of all placements, such as stribeck:4
     excluded: tuple[ExcludedRange, ...] = ()
-    errors: StepErrors | None = None
+    errors: StepErrors | None = None  # until they are computed
 
     @property
     def key(self) -> tuple[object, ...]:

@@ -32,16 +32,12 @@ PLAY_SECONDS = 0.35, 2.5  # of each model on the way to the last, and of all of 
 
 @dataclass(frozen=True)
 class PlotView:
-    """What the plots show; not saved.
+    """What the plots show; not saved."""
 
-    Of the recording: the range of time that is visible (None: all), that is selected, and the
-    instant that the arm shows, s; the position of the step that the current one is compared with.
-    """
-
-    window: tuple[float, float] | None = None
-    selection: tuple[float, float] | None = None
-    compared: int | None = None
-    instant: float | None = None
+    window: tuple[float, float] | None = None  # visible part of the recording, s; None: all
+    selection: tuple[float, float] | None = None  # s
+    compared: int | None = None  # position of the step that is shown beside the current one
+    instant: float | None = None  # of the arm's pose, s
 
 
 @dataclass(frozen=True)

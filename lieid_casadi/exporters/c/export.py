@@ -44,9 +44,6 @@ def c_files(
     """Return library, self-test and CMake project by file name, and notes for their users.
 
     The self-test compares results with CasADi. Options are those of `lieid_casadi.export`.
-
-    Raises `ExportError`: the prefix is not usable, an effect has no C form or needs more than one
-    instant, or a number is not finite.
     """
     if not re.fullmatch(r"(?!lieid_)[a-z][a-z0-9_]*", prefix, re.ASCII | re.IGNORECASE):
         raise ExportError(

@@ -92,9 +92,8 @@ def body(
 ) -> FunctionBody:
     """Return the C statements that evaluate a matrix and write it, zeros too, to an array.
 
-    ``inputs`` are the symbols by local name; ``arguments`` the names of the C function's
-    arguments, of which those that the inputs do not need are marked as unused. An `ExportError`
-    names an operation without a C form.
+    ``inputs`` are the symbols by local name; ``arguments`` the names of the C function's arguments,
+    of which those that the inputs do not need are marked as unused.
     """
     names = list(inputs)
     symbols = [given.symbol for given in inputs.values()]

@@ -223,9 +223,8 @@ def convert_positions(
 ) -> tuple[tuple[Array, Array], tuple[LieidWarning, ...]]:
     """Return measured and commanded positions in rad (in degrees where those are stated).
 
-    LeRobot stores each motor in per cent of its calibrated range, −100 to 100 (grippers 0 to
-    100), or, with ``use_degrees``, in degrees from the middle of that range; grippers stay in per
-    cent. The zero of a joint is the middle of its range.
+    LeRobot stores each motor in per cent of its calibrated range, −100 to 100 (grippers 0 to 100),
+    or, with ``use_degrees``, in degrees from the middle of that range; grippers stay in per cent.
     """
     measured, command = (np.asarray(x, dtype=np.float64) for x in positions)
     per_cent = np.array(["gripper" in motor or not options.degrees for motor in motors])

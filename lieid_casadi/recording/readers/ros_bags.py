@@ -77,11 +77,9 @@ def read_bag(file: Path, options: registry.ReadOptions) -> Measurement:
     return Measurement(t=t, name=file.name, source_hash=registry.hash_of_file(file), **signals)
 
 
-def _is_bag(folder: Path) -> bool:
-    return (folder / "metadata.yaml").is_file()
-
-
-FORMAT = registry.RecordingFormat(suffixes=(".mcap", ".db3"), read=read_bag, folder=_is_bag)
+FORMAT = registry.RecordingFormat(
+    suffixes=(".mcap", ".db3"), read=read_bag, folder=lambda f: (f / "metadata.yaml").is_file()
+)
 
 
 def _messages(file: Path, options: registry.ReadOptions) -> Iterator[_JointState]:
