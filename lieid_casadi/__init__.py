@@ -78,13 +78,12 @@ if TYPE_CHECKING:
     from lieid_casadi.experiments.result import Experiment
     from lieid_casadi.exporters.export import Export, export
     from lieid_casadi.expressions.symbolic import SymbolicDynamics, symbolic
-    from lieid_casadi.friction_curves.friction_fit import FrictionFit, friction
-    from lieid_casadi.gains.identify import DriveGains, drive_gains
+    from lieid_casadi.friction_curves import FrictionFit, friction
+    from lieid_casadi.gains import DriveGains, drive_gains
     from lieid_casadi.identification.fit import Fit, predict
     from lieid_casadi.identification.identify import identify
     from lieid_casadi.model import Model
-    from lieid_casadi.payload.estimate import PayloadEstimate
-    from lieid_casadi.payload.identify import identify_payload
+    from lieid_casadi.payload import PayloadEstimate, identify_payload
     from lieid_casadi.premises.check import check
     from lieid_casadi.premises.findings import PremiseCheck
     from lieid_casadi.recording import Processing, Recording

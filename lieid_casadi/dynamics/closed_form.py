@@ -136,10 +136,7 @@ def _point_moments(link: ca.SX, velocity: ca.SX) -> tuple[ca.SX, ca.SX]:
 def gravity(
     robot: Robot, motion: Motion, parameters: ca.SX, *, gravity: ca.SX | None = None
 ) -> ca.SX:
-    """Return G(q) = ξᵀBᵀEBΓ_{V0}A₀ (n,): the torque at rest.
-
-    ``gravity`` (3,): gravity in the base frame in place of the robot's, m/s².
-    """
+    """Return G(q) = ξᵀBᵀEBΓ_{V0}A₀ (n,): the torque at rest."""
     zero = ca.SX(robot.n, 1)
     still = Motion(motion.q, motion.sin, motion.cos, zero, zero)
     return inverse_dynamics(robot, still, parameters, gravity=gravity)

@@ -41,10 +41,7 @@ class EnergyColumn:
 
 
 def null_space(robot: Robot, extra: Sequence[EnergyColumn | None] = ()) -> Matrix:
-    """Return a basis (d, 10 n + e) of parameter changes that no motion reveals.
-
-    ``extra``: see `lieid_casadi.dynamics.base_parameters.base_parameters`.
-    """
+    """Return a basis (d, 10 n + e) of parameter changes that no motion reveals."""
     n, width = robot.n, 10 * robot.n + len(extra)
     chain = _Functionals(robot.gravity)
     blocks = []

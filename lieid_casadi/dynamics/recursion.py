@@ -141,10 +141,7 @@ def inertia_moments(body: LinkAcceleration) -> ca.SX:
 def inverse_dynamics(
     robot: Robot, motion: Motion, parameters: ca.SX, *, gravity: ca.SX | None = None
 ) -> ca.SX:
-    """Return the rigid torque (n,) of link parameters (10 n,) by the backward recursion, Eq. 3.
-
-    ``gravity`` (3,), in the base frame, takes the place of the robot's, m/s².
-    """
+    """Return the rigid torque (n,) of link parameters (10 n,) by the backward recursion, Eq. 3."""
     poses, xi = relative_poses(robot, motion), axes(robot)
     wrench, torque = ca.SX(6, 1), [ca.SX(1, 1)] * robot.n
     bodies = link_accelerations(robot, motion, gravity=gravity)

@@ -37,10 +37,7 @@ def armature(fit: Fit, index: int) -> float | None:
 
 
 def left_out(fit: Fit, *, friction: bool, besides: Collection[str] = ("armature",)) -> list[str]:
-    """Return the labels of effects that a format lacks.
-
-    ``friction``: it has that of `linear_friction`; ``besides``: names of effects that it has.
-    """
+    """Return the labels of effects that a format lacks."""
     placements = [p for p in fit.model.placements if p.effect.name not in besides]
     if friction:
         placements = [p for p in placements if not _is_friction(p)]
@@ -58,16 +55,12 @@ def _is_friction(placement: Placement) -> bool:
 
 @dataclass(frozen=True)
 class LinearFriction:
-    """Friction of one joint as damping·q̇ + loss·sgn(q̇), neither of them negative.
-
-    ``error`` is the RMS of the difference from the model's friction, N·m, and ``share`` the same in
-    parts of the RMS friction.
-    """
+    """Friction of one joint as damping·q̇ + loss·sgn(q̇), neither of them negative."""
 
     damping: float
     loss: float
-    error: float
-    share: float
+    error: float  # RMS of the difference from the model's friction, N·m
+    share: float  # the same in parts of the RMS friction
 
     @property
     def exact(self) -> bool:
@@ -212,10 +205,7 @@ def beyond_linear_friction(friction: Sequence[LinearFriction]) -> list[str]:
 
 
 def check_possible(fit: Fit) -> None:
-    """Refuse a fit whose masses and inertias are not certified to be physically consistent.
-
-    Raises `ExportError`: with the command that makes a fit whose are.
-    """
+    """Refuse a fit whose masses and inertias are not certified to be physically consistent."""
     if fit.certificate is not None and fit.certificate.holds and fit.physically_consistent:
         return
     effects = ",".join(fit.model.effects)
@@ -229,10 +219,7 @@ def check_possible(fit: Fit) -> None:
 
 
 def source_of(fit: Fit, into: str | Path | None) -> RobotSource | None:
-    """Return the file that an export edits: that of the robot, or another one with the same arm.
-
-    Raises `ExportError`: the joints of the other file have other names or other places.
-    """
+    """Return the file that an export edits: that of the robot, or another one with the same arm."""
     robot = fit.model.robot
     if into is None:
         return robot.source

@@ -34,10 +34,7 @@ QUOTES = b"\"'"
 
 @dataclass
 class Element:
-    """One element and its position, in bytes of the UTF-8 text.
-
-    ``opened`` is the end of the start tag; an element without content has none but this.
-    """
+    """One element and its position, in bytes of the UTF-8 text."""
 
     tag: str
     attributes: dict[str, str]

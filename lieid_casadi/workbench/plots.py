@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from nicegui import ui
@@ -194,26 +194,13 @@ class TorquePlot(View):
         self._chart.run("dispatchAction", {"type": "dataZoom", "start": 0, "end": 100})
 
 
-@dataclass(frozen=True)
-class ErrorOverSignal:
-    """Error of one joint over one signal: samples and means, forward and backward apart."""
-
-    title: str
-    unit: str
-    forward: Line
-    backward: Line
-    rest: Line
-    forward_mean: Line
-    backward_mean: Line
-
-
 def errors_over_signals(
     series: list[Series],
     joint: int,
     window: tuple[float, float] | None,
     *,
     revolute: bool = True,
-) -> list[ErrorOverSignal]:
+) -> list[dict[str, Any]]:
     """Return the error over angle, speed, load, time, and temperature where it was recorded.
 
     In a window of time, s.
@@ -241,7 +228,8 @@ def errors_over_signals(
     return [_over(title, unit, values, error, sign) for title, unit, values in signals]
 
 
-def _over(title: str, unit: str, signal: Array, error: Array, sign: Array) -> ErrorOverSignal:
+def _over(title: str, unit: str, signal: Array, error: Array, sign: Array) -> dict[str, Any]:
+    """Return the error over one signal: samples and means, forward and backward apart."""
     edges = intervals(signal, around_zero=title == "speed")
     samples, means = [], []
     for direction in (1.0, -1.0, 0.0):
@@ -250,7 +238,8 @@ def _over(title: str, unit: str, signal: Array, error: Array, sign: Array) -> Er
         samples.append(pairs(signal[use], error[use]))
         centre, mean = binned_mean(signal[here], error[here], edges)
         means.append([[x, y] for x, y in pairs(centre, mean) if y == y])
-    return ErrorOverSignal(title, unit, *samples, *means[:2])
+    panel = {"title": title, "unit": unit, "forward_mean": means[0], "backward_mean": means[1]}
+    return panel | dict(zip(("forward", "backward", "rest"), samples, strict=True))
 
 
 class Shown(NamedTuple):
