@@ -9,3 +9,5 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 #: True and False.
 Mask = NDArray[np.bool_]
+#: Positions in an array.
+Indices = NDArray[np.intp]

@@ -6,9 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.compiled.cache import cache_folder
 from lieid_casadi.diagnosis import Diagnosis, diagnose
@@ -26,7 +24,6 @@ from lieid_casadi.plant import (
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 HIDDEN, HIDDEN_JOINT = "load_friction", 1  # in the plant, missing in the first model

@@ -10,8 +10,8 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
 from lieid_casadi.dynamics.null_space import EnergyColumn
 from lieid_casadi.effects import Effect, Placement, parse_effects, place
@@ -182,7 +182,7 @@ class Model:
         return self._of("shapes")
 
     @property
-    def initial_shapes(self) -> NDArray[np.float64]:
+    def initial_shapes(self) -> Array:
         """Start values of the shape parameters (s,)."""
         return np.array([shape.initial for shape in self.shapes])
 
@@ -192,7 +192,7 @@ class Model:
         return self._of("states")
 
     @property
-    def initial_states(self) -> NDArray[np.float64]:
+    def initial_states(self) -> Array:
         """States at the first sample of a segment."""
         return np.array([state.initial for state in self.states])
 

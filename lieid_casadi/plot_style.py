@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,7 +90,7 @@ def envelope(x: Array, y: Array, columns: int = MOST_COLUMNS) -> tuple[Array, Ar
     return x[keep], y[keep]
 
 
-def thin(marked: NDArray[np.bool_], most: int = MOST_POINTS) -> NDArray[np.intp]:
+def thin(marked: Mask, most: int = MOST_POINTS) -> Indices:
     """Return positions of marked samples, evenly decimated to at most ``most``."""
     found = np.flatnonzero(marked)
     return found[:: max(1, -(-len(found) // most))]

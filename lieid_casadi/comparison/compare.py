@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.comparison.noise_floor import noise_floor
 from lieid_casadi.comparison.series import largest_errors, series_along
@@ -125,7 +124,7 @@ def _rms(error: Array) -> Array:
     return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
 
-def _rms_where(error: Array, use: NDArray[np.bool_]) -> Array:
+def _rms_where(error: Array, use: Mask) -> Array:
     """Return the RMS per joint over the marked samples (n,), NaN where none is marked."""
     count = use.sum(axis=0)
     squares = np.sum(np.where(use, error, 0.0) ** 2, axis=0)

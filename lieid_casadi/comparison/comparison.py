@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import plots
 from lieid_casadi.comparison.noise_floor import SOURCES
 from lieid_casadi.comparison.series import LargeError, Series
@@ -117,7 +116,7 @@ class Comparison:
             return np.where(torque > 0.0, self.rms_moving / torque, np.nan)
 
     @property
-    def rest_dominates(self) -> NDArray[np.bool_]:
+    def rest_dominates(self) -> Mask:
         """Joints (n,) that rest for a part of the time, with a larger error than in motion."""
         larger = np.nan_to_num(self.rms_at_rest) > np.nan_to_num(self.rms_moving)
         return np.asarray(larger & (self.at_rest > RESTS))
@@ -334,7 +333,7 @@ def _size(c: Comparison) -> str:
     )
 
 
-def _over_noise(c: Comparison) -> NDArray[np.float64]:
+def _over_noise(c: Comparison) -> Array:
     """Return the error in motion in multiples of the noise floor (n,)."""
     return np.where((c.noise_floor > 0.0) & (c.torque_rms > 0.0), c.over_noise, np.nan)
 

@@ -16,10 +16,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.design_matrix import Design
@@ -117,7 +116,7 @@ def _uncertainty(fit: Fit, design: Design, rows: Rows) -> Array:
     return np.nan_to_num(found)
 
 
-def _unexplained(columns: Array, errors: Array, fold: NDArray[np.intp]) -> Array:
+def _unexplained(columns: Array, errors: Array, fold: Indices) -> Array:
     """Return the part (S,) of the squares of errors (N, S) that columns (N, k) do not explain."""
     size = np.sqrt(np.mean(columns**2, axis=0))
     scaled = columns[:, size > 0.0] / size[size > 0.0]
@@ -155,7 +154,7 @@ def _in_bands(values: Array) -> Array:
     return np.asarray(uniform_filter1d(power, BAND, axis=0, mode="wrap"))
 
 
-def _held_out(columns: Array, errors: Array, out: NDArray[np.bool_]) -> Array:
+def _held_out(columns: Array, errors: Array, out: Mask) -> Array:
     """Return the sums of squared errors (P, S) of held-out rows, one for each of `PENALTIES`."""
     inside, count = columns[~out], int(np.sum(~out))
     spread, axes = np.linalg.eigh(inside.T @ inside / count)

@@ -7,10 +7,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import correlate, welch
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import relative_temperature, torque_along
@@ -44,7 +43,7 @@ class Series:
         return self.measured - self.predicted
 
     @property
-    def moving(self) -> NDArray[np.bool_]:
+    def moving(self) -> Mask:
         """True where a joint moves (M, n)."""
         return np.asarray(self.sign != 0.0)
 

@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Indices
 from lieid_casadi.expressions.c_writer import ARITHMETIC, Dialect, Statements, statements
 from lieid_casadi.expressions.model_functions import SparseFunction
-
-Indices = NDArray[np.intp]
 
 # Arguments that are the same for every sample; all others differ from sample to sample.
 CONSTANT_ARGUMENTS = frozenset({"parameters", "coefficients", "shapes", "dead_zone"})

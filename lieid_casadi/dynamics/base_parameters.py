@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Indices
 from lieid_casadi.dynamics.null_space import RANK_TOLERANCE, EnergyColumn, null_space, rounded
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.inertia import LINK_PARAMETER_NAMES
@@ -28,7 +29,7 @@ class BaseParameters:
     """The minimal parameters β = combination · π of a regressor's columns."""
 
     names: tuple[str, ...]  # of all P columns
-    kept: NDArray[np.intp]  # (p,): columns that span the others: the first independent ones
+    kept: Indices  # (p,): columns that span the others: the first independent ones
     #: (p, P): coefficient 1 on the kept column, the rest on dropped ones. Floats, or floats and
     #: polynomials of lengths (`lieid_casadi.dynamics.symbolic_lengths`)
     combination: Matrix
@@ -39,12 +40,12 @@ class BaseParameters:
         return len(self.kept)
 
     @cached_property
-    def dropped(self) -> NDArray[np.intp]:
+    def dropped(self) -> Indices:
         """Columns that are combinations of kept ones, or invisible."""
         return np.setdiff1d(np.arange(len(self.names)), self.kept)
 
     @cached_property
-    def invisible(self) -> NDArray[np.intp]:
+    def invisible(self) -> Indices:
         """Dropped columns that act on no torque at all."""
         visible = np.abs(self.combination[:, self.dropped]).max(axis=0, initial=0.0) > 0.0
         return np.asarray(self.dropped[~visible])
@@ -120,7 +121,7 @@ def reduce(null: Matrix, names: tuple[str, ...]) -> BaseParameters:
     return BaseParameters(names, kept, rounded(combination))
 
 
-def _last_touched(null: Matrix) -> NDArray[np.intp]:
+def _last_touched(null: Matrix) -> Indices:
     """Return the columns that are combinations of columns before them, last first.
 
     Elimination from the right: each invisible change is named after the last column it needs.

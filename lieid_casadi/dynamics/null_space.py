@@ -16,13 +16,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.robot import Joint, Robot
 from lieid_casadi.robot.geometry import relative
 from lieid_casadi.robot.inertia import parameter_transport, symmetric
 
-Matrix = NDArray[np.float64]
 RANK_TOLERANCE = 1e-9  # relative; geometry written with 12 digits still counts as exact
 ROUNDING = 1e-12
 
@@ -40,7 +39,7 @@ class EnergyColumn:
     joint: int
 
 
-def null_space(robot: Robot, extra: Sequence[EnergyColumn | None] = ()) -> Matrix:
+def null_space(robot: Robot, extra: Sequence[EnergyColumn | None] = ()) -> Array:
     """Return a basis (d, 10 n + e) of parameter changes that no motion reveals."""
     n, width = robot.n, 10 * robot.n + len(extra)
     chain = _Functionals(robot.gravity)
@@ -65,12 +64,12 @@ def null_space(robot: Robot, extra: Sequence[EnergyColumn | None] = ()) -> Matri
 class _JointGeometry:
     """One joint's matrices as coefficients of 1, cos q, sin q, cos 2q, sin 2q (or 1, q, q²)."""
 
-    def __init__(self, joint: Joint, parent_home: Matrix) -> None:
+    def __init__(self, joint: Joint, parent_home: Array) -> None:
         self.axis = joint.axis
         self.revolute = joint.revolute
         start = relative(parent_home, joint.home)
 
-        def here(q: float) -> Matrix:
+        def here(q: float) -> Array:
             return start @ _exponential(joint, q)
 
         self.transport = _coefficients(lambda q: parameter_transport(here(q)), joint.revolute)
@@ -85,13 +84,13 @@ class _Functionals:
     ``potential`` + something in the span of ``varying``.
     """
 
-    def __init__(self, gravity: Matrix) -> None:
+    def __init__(self, gravity: Array) -> None:
         self.twists = np.zeros((0, 6))
         self.kinetic = np.zeros((0, 10))
         self.varying = np.zeros((0, 10))
         self.potential = np.concatenate([[0.0], -gravity, np.zeros(6)])[None]
 
-    def conditions(self, joint: _JointGeometry, kinds: Sequence[str]) -> Matrix:
+    def conditions(self, joint: _JointGeometry, kinds: Sequence[str]) -> Array:
         """Return rows (r, 10 + len(kinds)) whose null space the parent can compensate."""
         own = _kinetic_row(joint.axis, joint.axis)
         mixed = [_kinetic_row(joint.axis, ad @ v) for ad in joint.adjoint for v in self.twists]
@@ -128,7 +127,7 @@ class _Functionals:
         return after
 
 
-def _coefficients(function: Callable[[float], Matrix], revolute: bool) -> list[Matrix]:
+def _coefficients(function: Callable[[float], Array], revolute: bool) -> list[Array]:
     """Return the exact coefficients of a trigonometric (or plain) polynomial of degree 2."""
     nodes = 2 * np.pi * np.arange(5) / 5 if revolute else np.array([-1.0, 0.0, 1.0])
     one = np.ones_like(nodes)
@@ -142,7 +141,7 @@ def _coefficients(function: Callable[[float], Matrix], revolute: bool) -> list[M
     return list(rounded(np.tensordot(inverse, values, axes=1)))
 
 
-def _exponential(joint: Joint, q: float) -> Matrix:
+def _exponential(joint: Joint, q: float) -> Array:
     """Return the matrix exp(ξ̂q) of a unit screw of zero pitch."""
     omega, v = joint.axis[:3], joint.axis[3:]
     pose = np.eye(4)
@@ -155,21 +154,21 @@ def _exponential(joint: Joint, q: float) -> Matrix:
     return pose
 
 
-def _inverse_adjoint(pose: Matrix) -> Matrix:
+def _inverse_adjoint(pose: Array) -> Array:
     back = pose[:3, :3].T
     return np.block([[back, np.zeros((3, 3))], [-back @ _skew(pose[:3, 3]), back]])
 
 
-def _skew(w: Matrix) -> Matrix:
+def _skew(w: Array) -> Array:
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
-def _kinetic_row(u: Matrix, v: Matrix) -> Matrix:
+def _kinetic_row(u: Array, v: Array) -> Array:
     """Return the functional π ↦ uᵀ·E(π)·v as a row (1, 10)."""
     return np.asarray((_UNIT_INERTIAS @ v @ u)[None])
 
 
-def _unit_inertia(unit: Matrix) -> Matrix:
+def _unit_inertia(unit: Array) -> Array:
     moment = _skew(unit[1:4])
     return np.block([[symmetric(unit[4:]), moment], [-moment, unit[0] * np.eye(3)]])
 
@@ -177,7 +176,7 @@ def _unit_inertia(unit: Matrix) -> Matrix:
 _UNIT_INERTIAS = np.array([_unit_inertia(unit) for unit in np.eye(10)])
 
 
-def _span(rows: Matrix) -> Matrix:
+def _span(rows: Array) -> Array:
     """Return an orthonormal basis of the rows' span."""
     if not len(rows):
         return rows
@@ -185,13 +184,13 @@ def _span(rows: Matrix) -> Matrix:
     return np.asarray(basis[sizes > RANK_TOLERANCE * max(sizes[0], 1.0)])
 
 
-def _null(rows: Matrix) -> Matrix:
+def _null(rows: Array) -> Array:
     _, sizes, basis = np.linalg.svd(rows)
     rank = int(np.sum(sizes > RANK_TOLERANCE * max(sizes[0], 1.0)))
     return np.asarray(basis[rank:])
 
 
-def rounded(values: Matrix, tolerance: float = ROUNDING) -> Matrix:
+def rounded(values: Array, tolerance: float = ROUNDING) -> Array:
     """Remove rounding errors around whole and half numbers."""
     halves = np.round(2 * values) / 2
     return np.where(np.abs(values - halves) < tolerance, halves, values)

@@ -20,16 +20,14 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.excitation.limits import ConstraintSet
 from lieid_casadi.excitation.trajectory import MotionSamples, SampledBasis
 
 if TYPE_CHECKING:
     from scipy.optimize import BFGS
 
-Indices = NDArray[np.intp]
 Values = Sequence[float | Array]
 NEAR = -0.3  # scaled excess above which a peak becomes a row
 FAR = -0.1  # scaled excess below which a row is dropped between runs
@@ -83,7 +81,7 @@ class SampledConstraints:
         before, after = np.roll(excess, 1, axis=1), np.roll(excess, -1, axis=1)
         return np.flatnonzero((excess > threshold) & (excess >= before) & (excess > after))
 
-    def nonlinear(self, rows: Indices) -> NDArray[np.bool_]:
+    def nonlinear(self, rows: Indices) -> Mask:
         """Return which rows are of sets that are not linear in z."""
         of_limits = np.repeat(
             [not s.linear for s in self.sets], [2 * len(s.scale) for s in self.sets]

@@ -9,9 +9,9 @@ from typing import Protocol
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion, Pose, constant, cross
 from lieid_casadi.errors import ExcitationError
@@ -106,10 +106,10 @@ class MotionRange:
     position: Array
     velocity: Array
     acceleration: Array
-    revolute: NDArray[np.bool_]
+    revolute: Mask
 
     @property
-    def _stops(self) -> NDArray[np.bool_]:
+    def _stops(self) -> Mask:
         """Whether each joint has end stops (n, 1)."""
         return np.asarray(np.isfinite(self.position).all(axis=1, keepdims=True))
 

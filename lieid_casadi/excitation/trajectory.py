@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.errors import ExcitationError
 
 LONGEST = 3600.0  # s, of one period
@@ -66,7 +65,7 @@ class MotionSamples:
     def __len__(self) -> int:
         return len(self.t)
 
-    def at(self, index: NDArray[np.intp] | slice) -> MotionSamples:
+    def at(self, index: Indices | slice) -> MotionSamples:
         """Return some of the samples."""
         return MotionSamples(self.t[index], self.q[index], self.dq[index], self.ddq[index])
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.expressions.torque import TorqueExpressions, named_function
 from lieid_casadi.robot.robot import Robot
 
@@ -136,7 +136,7 @@ def unsolved_share(torque: TorqueExpressions) -> float:
     return float(np.mean(~(left <= RESIDUAL)))
 
 
-def _poses(robot: Robot) -> NDArray[np.float64]:
+def _poses(robot: Robot) -> Array:
     """Return poses (K, n) that are spread evenly over the joints' ranges (Sobol points)."""
     from scipy.stats import qmc
 

@@ -8,9 +8,8 @@ from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.dynamics.regressor import regressor
@@ -26,8 +25,8 @@ class SparseFunction:
     """A function that returns the nonzeros (nnz,) at ``rows, columns`` of a matrix of ``shape``."""
 
     function: ca.Function
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
+    rows: Indices
+    columns: Indices
     shape: tuple[int, int]
 
 

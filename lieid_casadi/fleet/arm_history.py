@@ -11,9 +11,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.fleet.changes import EARLIER_NIGHTS, LATEST_NIGHTS, NightSeries, used_nights
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.night_result import Finding
@@ -188,7 +187,7 @@ def _arm(
     return ArmHistory(*identity, dates, series, units, tuple(found), shares, starts, limits)
 
 
-def motions_of(labels: Sequence[str], positions: Array) -> NDArray[np.intp]:
+def motions_of(labels: Sequence[str], positions: Array) -> Indices:
     """Return the number of each night's motion (N,), from 0, by payload and positions.
 
     Positions (N, 4, n) are the lowest, highest and mean one and the standard deviation of each

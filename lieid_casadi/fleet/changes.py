@@ -17,12 +17,11 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import digamma, polygamma, stdtr
 from scipy.stats import betabinom, chi2, f, median_abs_deviation
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 
 FEWEST_NIGHTS = 4  # of an arm that is judged
 BASELINE_NIGHTS = 2  # at least, before a step
@@ -53,12 +52,12 @@ class NightSeries:
     values: Array  # (N,)
     scales: Array  # (N,) nominal standard deviations
     temperature: Array  # (N,) °C; NaN where it is not recorded
-    motions: NDArray[np.intp]  # (N,) equal for nights with the same motion and payload
+    motions: Indices  # (N,) equal for nights with the same motion and payload
 
     def __len__(self) -> int:
         return len(self.days)
 
-    def at(self, nights: slice | NDArray[np.intp]) -> NightSeries:
+    def at(self, nights: slice | Indices) -> NightSeries:
         """Return some of the nights."""
         return NightSeries(*(signal[nights] for signal in vars(self).values()))
 
@@ -79,7 +78,7 @@ class NightSeries:
         return bool(np.isfinite(t).all() and len(t) and np.ptp(t) >= LEAST_TEMPERATURE_RANGE)
 
 
-def used_nights(count: int) -> NDArray[np.intp]:
+def used_nights(count: int) -> Indices:
     """Return the positions, of so many nights, of those that a judgement uses."""
     earlier = max(count - LATEST_NIGHTS, 0)
     step = max(-(-earlier // EARLIER_NIGHTS), 1)
@@ -343,7 +342,7 @@ def _known_columns(
 
 
 @lru_cache(maxsize=32)
-def _shapes(day_bytes: bytes) -> tuple[Array, NDArray[np.intp], Array]:
+def _shapes(day_bytes: bytes) -> tuple[Array, Indices, Array]:
     """Return kind, first changed night and shape (N, k) of all changes that are tested."""
     days = np.frombuffer(day_bytes)
     count = len(days)
@@ -358,7 +357,7 @@ def _shapes(day_bytes: bytes) -> tuple[Array, NDArray[np.intp], Array]:
 RATE_WEIGHTS = (20.0, 1.0)
 
 
-def repeated_finding(found: NDArray[np.bool_], rate: float) -> tuple[float, int]:
+def repeated_finding(found: Mask, rate: float) -> tuple[float, int]:
     """Return the p-value that an effect is found more often since a night, and that night.
 
     The rate of an arm has a beta distribution around that of the other arms, which the nights

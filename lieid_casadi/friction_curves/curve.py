@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi import errors
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.compiled import compile
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.recording_checks import Source, check_recordings
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Indices = NDArray[np.intp]
 
 MOST_ROWS = 30  # of a curve's table; its JSON has all
 LEAST_SAMPLES = 4  # of a pass
@@ -215,7 +213,7 @@ class _Pass:
     forward: bool
     time: float  # mean time of the pass, s
 
-    def over(self, other: _Pass) -> NDArray[np.bool_]:
+    def over(self, other: _Pass) -> Mask:
         """Mark the samples (S,) at positions that another pass covers."""
         return np.asarray(
             (self.position >= other.position[0]) & (self.position <= other.position[-1])
@@ -233,7 +231,7 @@ class _Pairs:
     stretch: Indices  # (P,) number of the pair of passes
     samples: Indices  # (P, 2) filtered samples nearest to the two instants
 
-    def at(self, kept: Indices | NDArray[np.bool_]) -> _Pairs:
+    def at(self, kept: Indices | Mask) -> _Pairs:
         """Return some of the pairs."""
         return _Pairs(**{name: value[kept] for name, value in vars(self).items()})
 
@@ -330,9 +328,7 @@ def _difference(a: _Pass, b: _Pass) -> tuple[float, bool, float]:
     return round(ratio / SPEED_STEP), a.segment != b.segment, abs(a.time - b.time)
 
 
-def _pairs(
-    f: _Pass, b: _Pass, stretch: int, torques: Array, q: Array
-) -> tuple[_Pairs, NDArray[np.bool_], NDArray[np.bool_]]:
+def _pairs(f: _Pass, b: _Pass, stretch: int, torques: Array, q: Array) -> tuple[_Pairs, Mask, Mask]:
     """Return a pair for each forward sample, and where speeds are similar and others still."""
     inside = f.over(b)
     at = f.samples[inside]

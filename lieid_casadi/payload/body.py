@@ -6,12 +6,9 @@ The parameters are m, m·c (3), Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin of
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.robot.inertia import body_inertia
-
-Mask = NDArray[np.bool_]
 
 NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 UNITS = ("kg", "m", "m", "m", *("kg·m²",) * 6)

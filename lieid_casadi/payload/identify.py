@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import (
     ConvergenceWarning,
@@ -51,7 +50,7 @@ def rms(errors: Sequence[Array]) -> Array:
     return np.array([np.sqrt(np.mean(e**2)) if len(e) else np.nan for e in errors])
 
 
-def _too_uncertain(values: Array, std: Array) -> NDArray[np.bool_]:
+def _too_uncertain(values: Array, std: Array) -> Mask:
     """Mark quantities (10,) whose uncertainty exceeds their size; without mass, all others too."""
     unknown = ~(std <= _sizes(values))
     unknown[1:] |= _no_mass(values, std)
@@ -70,7 +69,7 @@ def _sizes(values: Array) -> Array:
 
 
 def _not_identified(
-    values: Array, std: Array, identifiable: NDArray[np.bool_], hidden: Array
+    values: Array, std: Array, identifiable: Mask, hidden: Array
 ) -> tuple[NotIdentified, ...]:
     """Return the quantities that cannot be identified from the recording, with reasons."""
     sizes, found = _sizes(values), []
@@ -120,7 +119,7 @@ def _changed_friction(
     run: LoadedRun,
     kept: LoadedRunEstimate,
     refitted: LoadedRunEstimate,
-    frictional: NDArray[np.bool_],
+    frictional: Mask,
 ) -> list[LieidWarning]:
     """Warn of friction that differs from the fit's and was identified again."""
     before, after = rms(kept.after), rms(refitted.after)

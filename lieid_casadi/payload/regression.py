@@ -19,9 +19,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import (
@@ -36,8 +35,6 @@ from lieid_casadi.identification.regression.least_squares import (
 from lieid_casadi.identification.regression.variable_projection import shape_columns
 from lieid_casadi.identification.uncertainty.covariance import EXACT, hac_covariance, scaled_axes
 from lieid_casadi.robot.inertia import parameter_transport
-
-Indices = NDArray[np.intp]
 
 BODY = 10
 MOST_ITERATIONS = 30
@@ -90,7 +87,7 @@ class LoadedRun:
         parameters[last - BODY : last] += self.transport @ body
         return parameters
 
-    def estimate(self, free: NDArray[np.bool_]) -> LoadedRunEstimate:
+    def estimate(self, free: Mask) -> LoadedRunEstimate:
         """Estimate the payload; ``free`` marks base columns (p,) whose values are unconstrained."""
         free = free | self.drifting
         noise, body = self.fit.noise, np.zeros(BODY)
@@ -138,7 +135,7 @@ class LoadedRun:
             values[free] += change
         return rows.residuals(values)
 
-    def _equations(self, body: Array, free: NDArray[np.bool_]) -> tuple[Rows, list[Array]]:
+    def _equations(self, body: Array, free: Mask) -> tuple[Rows, list[Array]]:
         """Return rows in [π; z; φ], linearized at a payload, and the residuals there."""
         rows, values = self._rows(body), self.values + self.to_base @ body
         errors = rows.residuals(values)

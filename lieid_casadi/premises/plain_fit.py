@@ -19,14 +19,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.recording import Processing, Recording, choose_cutoff, process
 from lieid_casadi.recording.sample_timing import require_plausible_rate
 
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
 #: Held-out parts, and the length of a block of time, s: blocks go to the parts in turn. Errors
 #: within a block are correlated, between blocks hardly. Short recordings have shorter blocks, so
 #: that each part has two.
@@ -59,8 +56,8 @@ class Samples:
     ddq: Array
     tau: Array
     moving: Mask  # False where a joint rests: its friction is undetermined there
-    part: Index  # (N,) held-out part
-    segment: Index  # (N,) uninterrupted stretch
+    part: Indices  # (N,) held-out part
+    segment: Indices  # (N,) uninterrupted stretch
     measured: Array  # recorded velocity, NaN without
     window: float  # length of the low-pass filter, s
 
@@ -94,7 +91,7 @@ class Samples:
         used = zip(self.tau.T, self.used.T, strict=True)
         return np.maximum([np.std(tau[at]) for tau, at in used], 1e-9)
 
-    def at(self, rows: Index) -> Samples:
+    def at(self, rows: Indices) -> Samples:
         """Return some of the instants."""
         return replace(self, **{field: getattr(self, field)[rows] for field in PER_ROW})
 
@@ -153,7 +150,7 @@ class Design:
     """Columns of the free fit, and their products per joint and held-out part."""
 
     #: joint, part, numbers of the columns that act, instants that are used, the columns (c, M)
-    pieces: tuple[tuple[int, int, Index, Index, Array], ...]
+    pieces: tuple[tuple[int, int, Indices, Indices, Array], ...]
     matrix: Array  # (n, P, p, p) products of the base parameters' columns and the joint's own
 
     def equations(self, tau: Array) -> Equations:
@@ -167,7 +164,7 @@ class Design:
         return Equations(self.matrix, vector, square, count)
 
 
-def design(columns: Array, s: Samples, links: Index, *, parts: bool) -> Design:
+def design(columns: Array, s: Samples, links: Indices, *, parts: bool) -> Design:
     """Return the design of rigid columns (n, k, N) of given links (k,) and the joints' own."""
     n, k = columns.shape[:2]
     count = PARTS if parts else 1

@@ -10,13 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.dynamics.base_parameters import base_parameters
 from lieid_casadi.robot import Robot
 
-Index = NDArray[np.intp]
 #: Gravity along no axis, m/s²: base parameters for it serve every direction.
 ANY_GRAVITY = np.array([3.0, 5.0, -7.0])
 
@@ -26,11 +24,11 @@ class RigidArm:
     """The kept link parameters of an arm, and the constants of its joints."""
 
     robot: Robot
-    kept: Index
+    kept: Indices
     combination: Array  # (k, 10 n) gives base parameters for gravity in any direction
     #: (12, 3) of each joint: pose in the frame before, over 1, sin q, 1 − cos q (or 1, q, 0)
     poses: tuple[Array, ...]
-    own: tuple[Index, ...]  # numbers of the columns of each link
+    own: tuple[Indices, ...]  # numbers of the columns of each link
     wrenches: tuple[Array, ...]  # (6 k, 12) force and moment of these, see `WRENCHES`
 
     @classmethod

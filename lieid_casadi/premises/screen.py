@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.premises import plain_fit
 from lieid_casadi.premises.correction import Correction
 from lieid_casadi.premises.rigid_columns import RigidArm
@@ -195,10 +195,10 @@ class Screen:
         return np.asarray(tau @ correction.torque_matrix.T)
 
     @cached_property
-    def _splines(self) -> list[tuple[plain_fit.Index, Array, Callable[[Array], Array]]]:
+    def _splines(self) -> list[tuple[Indices, Array, Callable[[Array], Array]]]:
         """Rows of each stretch that is compared, the stretch's time, and a spline of its torque."""
         whole = self.samples
-        found: list[tuple[plain_fit.Index, Array, Callable[[Array], Array]]] = []
+        found: list[tuple[Indices, Array, Callable[[Array], Array]]] = []
         for stretch in np.unique(self.thin.segment):
             at = np.flatnonzero(whole.segment == stretch)
             t, tau = whole.t[at], whole.tau[at]

@@ -9,10 +9,10 @@ from functools import partial
 import numpy as np
 from scipy.signal import lfilter
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.premises.correction import Correction, shifted
 from lieid_casadi.premises.findings import Finding
-from lieid_casadi.premises.plain_fit import Index, Mask, Samples
+from lieid_casadi.premises.plain_fit import Samples
 from lieid_casadi.premises.screen import Alternative, Screen, best_on
 from lieid_casadi.recording import Recording, sample_timing
 from lieid_casadi.recording.plausibility import unit_of_velocity
@@ -169,7 +169,7 @@ def velocity(s: Samples) -> Alternative | None:
     )  # fmt: skip
 
 
-def _lag(s: Samples, joints: Index) -> tuple[str, float, float]:
+def _lag(s: Samples, joints: Indices) -> tuple[str, float, float]:
     """Return ``filtered`` or ``delayed``, its time and the relative error that it leaves."""
     best = []
     for kind, first_order in (("low-pass filtered", True), ("delayed", False)):
@@ -180,7 +180,7 @@ def _lag(s: Samples, joints: Index) -> tuple[str, float, float]:
     return kind, seconds, left
 
 
-def _error_of_lag(s: Samples, joints: Index, first_order: bool, log_seconds: float) -> float:
+def _error_of_lag(s: Samples, joints: Indices, first_order: bool, log_seconds: float) -> float:
     """Return the relative error of the recorded velocity as the true one, lagged by a time."""
     seconds = float(np.exp(log_seconds))
     rest, size = 0.0, 0.0

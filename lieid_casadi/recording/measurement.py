@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lieid_casadi.arrays import Array, Mask
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.errors import LieidWarning, RecordingError
 from lieid_casadi.robot.drive import Drive
 
@@ -104,7 +104,7 @@ class Measurement:
         """Return rows first … last − 1 (from 0)."""
         return self.at(slice(first, last))
 
-    def at(self, rows: slice | Mask | NDArray[np.intp]) -> Self:
+    def at(self, rows: slice | Mask | Indices) -> Self:
         """Return the rows of a slice, a mask (N,) or numbers."""
         fields = ("t", "q", *OPTIONAL_SIGNALS)
         given = {field: getattr(self, field) for field in fields}

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LargeFileWarning, MissingDependency
 from lieid_casadi.recording.measurement import Measurement
@@ -130,7 +129,7 @@ def _decimated(
     return {name: np.concatenate(parts) for name, parts in read.items()}, step
 
 
-def _block_starts(t: Array, label: Any, step: int) -> NDArray[np.intp]:
+def _block_starts(t: Array, label: Any, step: int) -> Indices:
     """Return the first rows of blocks of ``step`` rows, none across a gap or another payload."""
     steps = np.diff(t)
     new = np.ones(len(t), dtype=bool)
@@ -142,7 +141,7 @@ def _block_starts(t: Array, label: Any, step: int) -> NDArray[np.intp]:
     return np.flatnonzero((row - begin) % step == 0)
 
 
-def _means(x: Any, first: NDArray[np.intp]) -> Array:
+def _means(x: Any, first: Indices) -> Array:
     counts = np.diff([*first, len(x)])
     return np.asarray(np.add.reduceat(np.asarray(x, dtype=float), first) / counts)
 
