@@ -8,8 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.comparison import compare
 from lieid_casadi.diagnosis import diagnose
@@ -200,9 +202,9 @@ class _Loop:
             open=tuple(open_groups(found)),
             named=tuple(step.label for step in found.steps if step.status == "named"),
             sentences=tuple(found.sentences),
-            error=tuple(map(float, errors[-1])),
-            first_error=tuple(map(float, errors[0])),
-            noise_floor=tuple(map(float, found.noise_floor)),
+            error=_finite(errors[-1]),
+            first_error=_finite(errors[0]),
+            noise_floor=_finite(found.noise_floor),
         )
         if last.number:
             self.folder.write(f"round-{last.number}/diagnosis.json", found.to_dict())
@@ -219,7 +221,8 @@ class _Loop:
             recorded=sum(r.duration for r in self.recordings), left=left * self.design.seconds,
         )  # fmt: skip
         if needs and left < 1:
-            reason = f"{most} recordings were made, as many as were allowed."
+            made = f"{most} recording was" if most == 1 else f"{most} recordings were"
+            reason = f"{made} made, as many as were allowed."
             self.keep(stopped="most", reason=reason)
             return None
         for need in needs:
@@ -258,7 +261,7 @@ class _Loop:
                 raise RecordError(f"a recording of {recording.n} joints; expected {model.n}")
             warnings = [] if despite_check else check_premises(model, recording)
             starts, more = doubts(motion, recording, fit, first)
-            unseen = () if fit is None else tuple(map(float, compare(fit, recording).rms_moving))
+            unseen = () if fit is None else _finite(compare(fit, recording).rms_moving)
         except PremiseError:
             raise
         except LieidError as failure:
@@ -276,6 +279,11 @@ class _Loop:
             checked=motion.checked, unchecked=motion.unchecked,
         )  # fmt: skip
         self.keep(rounds=(*self.result.rounds, done))
+
+
+def _finite(values: Array) -> tuple[float, ...]:
+    """Return errors in motion; that of a joint at rest is 0."""
+    return tuple(np.nan_to_num(values).tolist())
 
 
 def _model(source: Robot | Model | Fit, recordings: Sequence[Recording]) -> Model:

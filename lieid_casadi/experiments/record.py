@@ -17,6 +17,7 @@ from lieid_casadi.errors import PremiseError, RecordError, UsageError
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.experiments.motion import PlannedMotion
 from lieid_casadi.identification import Fit
+from lieid_casadi.messages import joints_text
 from lieid_casadi.model import Model
 from lieid_casadi.premises import check_where_possible
 from lieid_casadi.recording import Recording
@@ -27,6 +28,7 @@ DIFFERS = 1.0  # difference of torques along the probe, relative to the noise, t
 AVERAGED = 25  # steps over which they are averaged
 MOVING = 0.1  # of the probe's largest speed, below which friction is undetermined
 DEVIATION = 0.1  # rad between trajectory and recording that is reported
+OTHER_MOTION = 0.5  # of the motion of a joint, from which on it did not follow the trajectory
 
 Recorded = tuple[Recording, float]  # with the time at which the motion starts in it, s
 
@@ -64,7 +66,8 @@ class RecordCommand:
         trajectory, recording = (motion.folder / f"{x}.csv" for x in ("trajectory", "recording"))
         words = [word.replace("{trajectory}", str(trajectory)) for word in self.words]
         words = [word.replace("{recording}", str(recording)) for word in words]
-        recording.unlink(missing_ok=True)
+        if recording.exists():  # of a call that was refused
+            recording.replace(recording.with_name("recording-before.csv"))
         log = motion.folder / "record.log"
         status = _run(words, log)
         if status != 0:
@@ -104,9 +107,19 @@ def doubts(
 ) -> tuple[float, list[str]]:
     """Return when a motion starts in its recording (s), and doubts about the recording.
 
-    With a fit and the ``first`` recording, the torques along the probe are compared.
+    With a fit and the ``first`` recording, the torques along the probe are compared. A
+    `RecordError` refuses the recording of another motion.
     """
     start, far = deviation(motion.samples, recording)
+    moved = motion.samples.q.std(axis=0)
+    other = far > np.maximum(OTHER_MOTION * moved, DEVIATION)
+    if other.any():
+        worst = int(np.argmax(np.where(other, far, 0.0)))
+        raise RecordError(
+            f"{joints_text(other)} did not follow the trajectory: the recording "
+            f"({recording.duration:.3g} s) differs by {far[worst]:.2g} rad from the motion "
+            f"({motion.duration:.3g} s) of joint {worst + 1}, which moves by {moved[worst]:.2g} rad"
+        )
     found = [
         f"The recorded motion of joint {j + 1} differs from the trajectory by {far[j]:.2g} rad."
         for j in np.flatnonzero(far > DEVIATION)

@@ -125,7 +125,7 @@ class Experiment:
         names = [str(each.number or "given") for each in self.rounds]
         for j in range(len(self.rounds[0].error) if self.rounds else 0):
             for style, what in (("--", "first_error"), ("-", "error")):
-                values = [getattr(each, what)[j] / each.noise_floor[j] for each in self.rounds]
+                values = [_ratios(getattr(each, what), each.noise_floor)[j] for each in self.rounds]
                 label = f"joint {j + 1}" if what == "error" else None
                 ax.plot(names, values, style, marker="o", color=f"C{j % 10}", label=label)
         ax.axhline(1.0, color="black", linewidth=0.8)
@@ -144,8 +144,13 @@ class Experiment:
 
 def _worst(error: tuple[float, ...], noise: tuple[float, ...]) -> str | None:
     """Return the largest error relative to the noise, and its joint."""
-    ratios = [e / n for e, n in zip(error, noise, strict=True)]
+    ratios = _ratios(error, noise)
     if not ratios:
         return None
     worst = max(range(len(ratios)), key=ratios.__getitem__)
     return f"{ratios[worst]:.3g} (joint {worst + 1})"
+
+
+def _ratios(error: tuple[float, ...], noise: tuple[float, ...]) -> list[float]:
+    """Return errors relative to the noise, 0 of a joint at rest."""
+    return [e / n if n else 0.0 for e, n in zip(error, noise, strict=True)]

@@ -155,6 +155,18 @@ def test_a_recording_of_another_unit_is_refused(given, tmp_path):
     assert not (tmp_path / "round-1" / "recording.csv").exists()
 
 
+def test_a_joint_at_rest_has_no_error(tmp_path):
+    """A given recording in which joint 2 is held."""
+    given, still = sines(arm()), np.array([1.0, 0.0])
+    t, q = given.t, np.array([0.6, 0.5]) + still * (given.q - np.array([0.6, 0.5]))
+    held = measured(arm(), t, q, still * given.dq, still * np.gradient(given.dq, t, axis=0))
+    record, _ = recorder(arm())
+    result = lieid.experiment(ROBOT, held, record=record, most=0, folder=tmp_path, **QUICK)
+    assert (result.stopped, result.rounds[0].error[1]) == ("most", 0.0)
+    assert "(joint 1)" in str(result.table())
+    assert result.plot().axes
+
+
 def test_folder_of_something_else_is_refused(given, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     record, _ = recorder(arm())

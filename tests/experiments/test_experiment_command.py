@@ -137,6 +137,20 @@ def test_commands_that_cannot_be_run(text, message):
         RecordCommand.parse(text, lieid.Recording.load)
 
 
+def test_the_recording_of_another_motion_is_refused_and_kept(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("PYTHONPATH", str(PROGRAM.parents[2]))
+    copies = f"import sys, shutil; shutil.copy('{tmp_path}/sines.csv', sys.argv[2])"
+    (tmp_path / "copies.py").write_text(copies)
+    record = f"'{sys.executable}' '{tmp_path}/copies.py' {{trajectory}} {{recording}}"
+    for _ in range(2):
+        assert main([*words, "--record", record, "--yes"]) == 3
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert "joints 1, 2 did not follow the trajectory" in error
+    kept = {path.name for path in (tmp_path / "out" / "round-1").iterdir()}
+    assert {"recording.csv", "recording-before.csv", "trajectory.csv"} <= kept
+
+
 def test_recording_that_starts_early_is_aligned_and_compared():
     fourier = plant.FourierTrajectory(ROBOT, base_frequency=0.25, seed=2)
     t = np.arange(0.0, 4.0, 0.005)
