@@ -74,15 +74,7 @@ def figures(value: float | None, *, digits: int = 3, sign: str = "") -> str:
 
 
 def value_text(value: float, std: float | None) -> str:
-    """Return a value to the second digit of its standard deviation.
-
-    Examples
-    --------
-    >>> value_text(12.3456, 0.021)
-    '12.346'
-    >>> value_text(12.3456, None)
-    '12.35'
-    """
+    """Return a value to the second digit of its standard deviation."""
     if not std or not math.isfinite(std):
         return f"{value:.4g}"
     decimals = 1 - math.floor(math.log10(std))
@@ -95,7 +87,13 @@ def std_text(std: float | None) -> str | None:
 
 
 def with_std(value: float, std: float | None) -> str:
-    """Return a value ± its standard deviation; the value alone without one."""
+    """Return a value ± its standard deviation; the value alone without one.
+
+    Examples
+    --------
+    >>> with_std(12.3456, 0.021), with_std(12.3456, None)
+    ('12.346 ± 0.021', '12.35')
+    """
     return value_text(value, std) + ("" if std is None else f" ± {std_text(std)}")
 
 

@@ -132,14 +132,14 @@ def target_of(lanes: int | None) -> Target:
     raise CompilerError(f"lanes: {lanes}; expected one of {known} on this processor")
 
 
-def reducer(lanes: int | None = None) -> Reducer | None:
+def reducer() -> Reducer | None:
     """Return the reduction to triangular factors; None without a working compiler."""
-    return CompilerFailure.unless(lambda: _reducer(lanes))
+    return CompilerFailure.unless(_reducer)
 
 
 @cache
-def _reducer(lanes: int | None) -> Reducer:
-    return _own_library(load_reducer, target_of(lanes), "lieid_reduce.c")
+def _reducer() -> Reducer:
+    return _own_library(load_reducer, target_of(None), "lieid_reduce.c")
 
 
 def _own_library(load: Callable[[Path], Loaded], target: Target, name: str) -> Loaded:

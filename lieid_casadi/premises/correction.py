@@ -168,11 +168,11 @@ def base_rpy(gravity: Array) -> tuple[float, float, float]:
     return float(roll), float(pitch), 0.0
 
 
-def gravity_of(rpy: tuple[float, float, float], size: float = 9.81) -> Array:
+def gravity_of(rpy: tuple[float, float, float]) -> Array:
     """Return gravity in the frame of a base mounted with roll, pitch and yaw; see `base_rpy`."""
     roll, pitch, _ = rpy
     up = [-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)]
-    return -size * np.array(up)
+    return -9.81 * np.array(up)
 
 
 def correction_of(options: Sequence[str], n: int) -> Correction:

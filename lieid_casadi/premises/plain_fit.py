@@ -39,6 +39,7 @@ LEAST_ERROR = 0.01
 LOWEST_CUTOFF, HIGHEST_CUTOFF = 1.0, 8.0
 #: Cut-off in sample rates, at most, and the time from which it is chosen, s.
 CUTOFF_OVER_RATE, CUTOFF_SECONDS = 0.15, 20.0
+MOST_INSTANTS = 2400  # of the samples
 #: Range of the factor on the stated inertias' torque.
 LEAST_GAIN, LARGEST_GAIN = 0.5, 2.0
 #: A joint that moves less often than this is used at all instants.
@@ -96,8 +97,8 @@ class Samples:
         return replace(self, **{field: getattr(self, field)[rows] for field in PER_ROW})
 
 
-def samples_of(recordings: Sequence[Recording], *, most: int = 2400) -> Samples:
-    """Return low-passed signals of recordings: derived velocities, ``most`` instants in blocks."""
+def samples_of(recordings: Sequence[Recording]) -> Samples:
+    """Return low-passed signals of recordings: derived velocities, instants in blocks."""
     bare = [replace(r, dq=None, ddq=None, command=None, temperature=None) for r in recordings]
     for recording in bare:
         require_plausible_rate(recording.t, recording.title)
@@ -125,7 +126,7 @@ def samples_of(recordings: Sequence[Recording], *, most: int = 2400) -> Samples:
         made.append(Samples(t, q, dq, ddq, tau, moving, block, stretch, measured, 0.44 / cutoff))
     fields: dict[str, Any] = {f: np.concatenate([getattr(m, f) for m in made]) for f in PER_ROW}
     joined = replace(made[0], **fields)
-    every = -(-len(joined.t) // most)
+    every = -(-len(joined.t) // MOST_INSTANTS)
     if every > 1:
         joined = joined.at(np.flatnonzero(joined.part % every == 0))
         joined = replace(joined, segment=joined.part)

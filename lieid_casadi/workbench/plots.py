@@ -31,9 +31,7 @@ NEAR = 0.03  # of the range of a spectrum: a click so near means a peak
 Line = list[list[float | None]]  # [x, y] pairs; a pair of None interrupts the line
 
 
-def torque_lines(
-    series: list[Series], joint: int, window: tuple[float, float], columns: int = COLUMNS
-) -> dict[str, Line]:
+def torque_lines(series: list[Series], joint: int, window: tuple[float, float]) -> dict[str, Line]:
     """Return torques and error of a joint in a window of time, s, decimated by min and max."""
     lines: dict[str, Line] = {"measured": [], "predicted": [], "error": []}
     for s in series:
@@ -45,7 +43,7 @@ def torque_lines(
             if line:
                 line.append([None, None])
             values = getattr(s, name)[part, joint]
-            line += pairs(*envelope(s.time[part], values, columns))
+            line += pairs(*envelope(s.time[part], values, COLUMNS))
     return lines
 
 
@@ -115,7 +113,7 @@ class TorquePlot(View):
         new_recording, self._span = self._span != span, span
         window, unit = view.window or span, opened.units[joint]
         lines, other = (
-            torque_lines(series_of(each, recording.name), joint, window, COLUMNS)
+            torque_lines(series_of(each, recording.name), joint, window)
             for each in (evaluation, compared)
         )
         set_text(

@@ -59,21 +59,14 @@ class WorkerStopped(LieidError):
     """A request that was stopped by the user."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Waiting:
-    """A request without a result so far."""
-
-    result: asyncio.Future[Any]
-    progress: Progress | None
-
-
 class Worker:
     """A process that computes; it is started with the first request, or by `start`."""
 
     def __init__(self, setup: WorkerSetup, *, background: bool = False) -> None:
         self._setup, self._background = setup, background
         self._numbers = itertools.count()
-        self._waiting: dict[int, _Waiting] = {}
+        #: Requests without a result so far, and what is called with their progress.
+        self._waiting: dict[int, tuple[asyncio.Future[Any], Progress | None]] = {}
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
         self._listening = False
@@ -112,15 +105,15 @@ class Worker:
         assert self._pipe is not None
         loop = asyncio.get_running_loop()
         number = next(self._numbers)
-        waiting = _Waiting(loop.create_future(), progress)
-        self._waiting[number] = waiting
+        result = loop.create_future()
+        self._waiting[number] = result, progress
         if not self._listening:
             self._listening = True
             listener = (loop, self._pipe, self._process)
             threading.Thread(target=self._listen, args=listener, daemon=True).start()
         unhurried = self._background and task in UNHURRIED
         self._pipe.send(_Request(number, task, inputs, arguments, unhurried))
-        return await waiting.result
+        return await result
 
     def stop(self) -> None:
         """End the process, and delete its files; its requests raise `WorkerStopped`."""
@@ -133,9 +126,9 @@ class Worker:
 
     def _fail(self, error: LieidError) -> None:
         waiting, self._waiting = self._waiting, {}
-        for each in waiting.values():
-            if not each.result.done():
-                each.result.set_exception(error)
+        for result, _ in waiting.values():
+            if not result.done():
+                result.set_exception(error)
 
     def _listen(
         self, loop: asyncio.AbstractEventLoop, pipe: Connection, process: BaseProcess | None
@@ -151,19 +144,20 @@ class Worker:
                 loop.call_soon_threadsafe(self._received, reply)
 
     def _received(self, reply: _Reply) -> None:
-        waiting = self._waiting.get(reply.number)
-        if waiting is None:
+        result, progress = self._waiting.get(reply.number, (None, None))
+        if result is None:
             return
-        if reply.kind == "progress" and waiting.progress is not None:
-            waiting.progress(*reply.content)
-        elif reply.kind in ("result", "error"):
-            del self._waiting[reply.number]
-            if waiting.result.done():
-                return
-            if reply.kind == "result":
-                waiting.result.set_result(reply.content)
-            else:
-                waiting.result.set_exception(WorkerError(reply.content))
+        if reply.kind == "progress":
+            if progress is not None:
+                progress(*reply.content)
+            return
+        del self._waiting[reply.number]
+        if result.done():
+            return
+        if reply.kind == "result":
+            result.set_result(reply.content)
+        else:
+            result.set_exception(WorkerError(reply.content))
 
     def _lost(self, process: BaseProcess | None) -> None:
         if self._process is process and self._waiting:
