@@ -10,8 +10,10 @@ import numpy as np
 from lieid_casadi.arrays import Array, Indices, Mask
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.figure import Figure as Figure
+else:
+    Axes = Figure = object  # for annotations: Matplotlib is imported when something is drawn
 
 # Okabe and Ito's colours, distinguishable for colour-blind readers
 MEASURED, PREDICTED, ERROR = "#a3a9ae", "#0b4f8a", "#c44e00"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +20,8 @@ from lieid_casadi.errors import (
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.messages import joints_text
+from lieid_casadi.plot_style import Axes, Figure
 from lieid_casadi.tables import Table, figures, html, make_table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 AS_NOISE = 1.3  # times the noise floor, up to which an error is explained by noise
 BEYOND_NOISE = 2.0  # times the noise floor, from which an error is certainly systematic

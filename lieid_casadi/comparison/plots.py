@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from textwrap import fill
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lieid_casadi import plot_style
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison.series import Series
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
+from lieid_casadi.plot_style import Axes, Figure
 
 FEWEST_INTERVALS, MOST_INTERVALS = 6, 16
 PER_INTERVAL = 40  # samples, if that gives more than the fewest intervals

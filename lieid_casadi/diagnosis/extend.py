@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,12 +19,9 @@ from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.model import Model
+from lieid_casadi.plot_style import Axes, Figure
 from lieid_casadi.recording import Recording, process
 from lieid_casadi.recording.recording import listed
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SIGNIFICANT = 2.0  # standard deviations
 

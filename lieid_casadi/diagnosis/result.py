@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,11 +32,8 @@ from lieid_casadi.errors import LieidWarning, warning_list
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import numbers_or_none
+from lieid_casadi.plot_style import Axes, Figure
 from lieid_casadi.tables import Table, figures, html, make_table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SAME = 0.995  # of an error: a noise floor from there on is the same number
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,13 +40,9 @@ from lieid_casadi.excitation.trajectory import (
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.output_folder import write_folder
-from lieid_casadi.plot_style import drawing
+from lieid_casadi.plot_style import Axes, Figure, drawing
 from lieid_casadi.robot import Robot
 from lieid_casadi.tables import html
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MOST_ROWS = 10_000_000  # of a trajectory file
 PLOTTED = 600  # samples of a figure

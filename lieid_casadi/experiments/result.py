@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from lieid_casadi.diagnosis import Diagnosis
 from lieid_casadi.experiments.purpose import Group, Purpose
-from lieid_casadi.plot_style import drawing
+from lieid_casadi.plot_style import Axes, Figure, drawing
 from lieid_casadi.tables import Table, html, make_table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Stopped = Literal["all_named", "most", "not_separable", "record_failed"]
 

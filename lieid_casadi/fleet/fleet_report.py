@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,14 +13,10 @@ from lieid_casadi.fleet.arm_history import ERROR, ArmHistory, read_arms
 from lieid_casadi.fleet.history import History
 from lieid_casadi.fleet.judging import outlier_table, outliers
 from lieid_casadi.plot_style import ERROR as ERROR_COLOUR
-from lieid_casadi.plot_style import GRID, SMALL, new_figure, title
+from lieid_casadi.plot_style import GRID, SMALL, Figure, new_figure, title
 from lieid_casadi.report import Section, data_uri, render
 from lieid_casadi.report.page import table_section
 from lieid_casadi.tables import Table, make_table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 BASELINE = 3  # nights whose median is the reference of relative changes
 MOST_EFFECTS = 3  # panels of coefficients

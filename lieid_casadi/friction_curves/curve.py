@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,15 +19,11 @@ from lieid_casadi.compiled import compile
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.recording_checks import Source, check_recordings
 from lieid_casadi.model import Model
+from lieid_casadi.plot_style import Axes, Figure
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot.robot import Robot
 from lieid_casadi.tables import Table, html, make_table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 MOST_ROWS = 30  # of a curve's table; its JSON has all
 LEAST_SAMPLES = 4  # of a pass

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,13 +35,10 @@ from lieid_casadi.identification.regression.variable_projection import (
 )
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model, Parameter
+from lieid_casadi.plot_style import Axes, Figure
 from lieid_casadi.recording import Processing, Recording
 from lieid_casadi.robot.robot import Robot
 from lieid_casadi.tables import Table, html, make_table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 DEFAULT = "coulomb,viscous,stribeck"  # with load_friction where the load varies
 LONG_WAY = 1e3  # rad, after which effects with memory are in steady state

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lieid_casadi import plot_style
 from lieid_casadi.arrays import Array
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from lieid_casadi.plot_style import Axes, Figure
 
 COLOURS = "viridis"
 LINES = 3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,16 +30,11 @@ from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.payload.identify import require_one_load
-from lieid_casadi.plot_style import drawing
+from lieid_casadi.plot_style import Axes, Figure, drawing
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot import Robot
 from lieid_casadi.tables import Table, html, make_table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 NORMAL = 1.959963984540054  # standard deviations on either side of a 95 % interval
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,15 +27,11 @@ from lieid_casadi.identification.regression.least_squares import Conditioning
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model, Parameter
-from lieid_casadi.plot_style import drawing
+from lieid_casadi.plot_style import Axes, Figure, drawing
 from lieid_casadi.recording.processed import Processed, Processing
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.robot.inertia import pseudo_inertia
 from lieid_casadi.tables import Table, html, make_table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 NORMAL_95 = 1.96  # standard deviations of a normal distribution within 95 %
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +12,8 @@ from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.payload.body import NAMES, UNITS
-from lieid_casadi.plot_style import drawing
+from lieid_casadi.plot_style import Axes, Figure, drawing
 from lieid_casadi.tables import Table, figures, html, make_table, with_std
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 NORMAL = 1.959963984540054  # standard deviations on either side of a 95 % interval
 INSIGNIFICANT = 3.0  # a mass below that many standard deviations is not significant

@@ -11,11 +11,11 @@ from functools import cache
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
+from lieid_casadi.plot_style import Figure
 from lieid_casadi.tables import Table
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)

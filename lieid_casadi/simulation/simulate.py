@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
-from lieid_casadi.plot_style import drawing
+from lieid_casadi.plot_style import Axes, Figure, drawing
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.simulation.integration import Batch, Input, integrate_batch
@@ -37,10 +37,6 @@ from lieid_casadi.simulation.runs import (
     window_errors,
 )
 from lieid_casadi.tables import Table, html, make_table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
