@@ -86,6 +86,9 @@ def judge(
 ) -> tuple[Slot, ...]:
     """Return the effects of the path on all rows with their gains on the held-out parts.
 
+    That something changed between recordings is the stronger claim: an effect in one of them is
+    that of the arm if a path without some part has this in its place.
+
     ``parts`` are the paths that do not use each part. ``friction`` (R, n) is the change of torque
     if the dry friction of each joint is ``late`` or ``early``, or by that at ``rest``. A delay must
     explain more than the first: a joint that sticks for less than a sample at its reversals looks
@@ -151,7 +154,20 @@ def judge(
                 joint,
             )
         )
+    of_arm = list(dict.fromkeys(_of_the_arm(slot, columns) for slot in found))
+    if of_arm != list(whole):
+        return judge(paths, folds, of_arm, parts, friction, steady)
     return tuple(found)
+
+
+def _of_the_arm(slot: Slot, columns: Columns) -> int:
+    """Return the group of an effect, or that of all recordings if a path has it in its place."""
+    mine = columns.candidate(slot.group)
+    for group in slot.instead if mine.recording is not None else ():
+        other = columns.candidate(group)
+        if other.recording is None and other.placement.label == mine.placement.label:
+            return group
+    return slot.group
 
 
 def _without_later_functions(

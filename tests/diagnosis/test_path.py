@@ -1,5 +1,7 @@
 """Paths and held-out errors by inner products, compared with least squares on the rows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -120,6 +122,23 @@ def test_an_effect_is_judged_without_a_smooth_function_that_came_after_it_and_co
         (found,) = (slot for slot in slots if slot.group == 0)
         assert found.deviations > least
     assert found.deviations < 2.0  # the function was there before it
+
+
+@pytest.mark.parametrize(("with_all", "expected"), [(1, 0), (0, 1)])
+def test_an_effect_is_in_one_recording_only_if_every_path_says_so(with_all, expected):
+    random = np.random.default_rng(5)
+    own, second = random.normal(size=(ROWS, 1)), np.arange(ROWS)[:, None] >= ROWS // 4
+    of_arm = Candidate(Placement(make("viscous_asymmetric"), 0), np.zeros((1, 0)))
+    owners, pieces = [of_arm, replace(of_arm, recording=1)], [[(0, own), (1, own * second)]]
+    columns = assemble(owners, [0, 1], [0, 0], [1, 1], pieces, [ROWS])
+    residual = random.normal(size=ROWS) + 0.5 * own[:, 0]
+    span = Span.of([random.normal(size=(ROWS, MODEL))], [residual])
+    held = np.array([np.arange(ROWS) * 10 // ROWS == k for k in range(10)])
+    folds = Folds(held, held, 0.0, np.array([100]))
+    paths = Paths(span, columns, folds.out)
+    parts_of = [[0]] * with_all + [[1]] * (10 - with_all)
+    (found,) = judge(paths, folds, [1], parts_of, {}, np.ones(ROWS, dtype=bool))
+    assert found.group == expected
 
 
 def test_a_compromise_of_two_causes_gives_way_to_them():
