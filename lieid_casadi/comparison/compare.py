@@ -8,23 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from lieid_casadi import errors
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison.comparison import Comparison
 from lieid_casadi.comparison.noise_floor import noise_floor
 from lieid_casadi.comparison.series import largest_errors, series_along
-from lieid_casadi.errors import (
-    BeyondTrainingWarning,
-    LieidWarning,
-    SameRecordingWarning,
-    unique_warnings,
-)
+from lieid_casadi.identification import recording_checks
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import center_temperature
-from lieid_casadi.identification.recording_checks import (
-    Source,
-    check_recordings,
-    check_torque_constants,
-)
 from lieid_casadi.identification.regression.design_matrix import usable_rows
 from lieid_casadi.identification.regression.variable_projection import signal_of
 from lieid_casadi.recording import Processed, Recording, check, process
@@ -56,9 +47,9 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
         an effect needs.
     """
     given = listed(recordings)
-    check_recordings(fit.model, given)
+    recording_checks.check_recordings(fit.model, given)
     found = [w for recording in given for w in check(recording, fit.model.robot)]
-    found += [w for r in given for w in check_torque_constants(fit.provenance, r)]
+    found += [w for r in given for w in recording_checks.check_torque_constants(fit.provenance, r)]
     return compare_segments(fit, given, compared_segments(fit, given), warnings=found)
 
 
@@ -73,7 +64,7 @@ def compare_segments(
     recordings: Sequence[Recording],
     segments: Sequence[Processed],
     *,
-    warnings: Sequence[LieidWarning] = (),
+    warnings: Sequence[errors.LieidWarning] = (),
     with_noise: bool = True,
 ) -> Comparison:
     """Compare a fit with segments of recordings that were checked and processed before.
@@ -110,13 +101,13 @@ def compare_segments(
         worst=largest_errors(series),
         series=series,
         cutoff=segments[0].cutoff,
-        recordings=tuple(Source.of(r) for r in recordings),
+        recordings=tuple(recording_checks.Source.of(r) for r in recordings),
         duration=float(sum(s.time[-1] - s.time[0] for s in series)),
         warnings=(),
     )
     found = [*warnings, *(w for segment in segments for w in segment.warnings)]
     found += [*_trained_on(fit, comparison), *_beyond_training(fit, segments)]
-    return replace(comparison, warnings=unique_warnings(found))
+    return replace(comparison, warnings=errors.unique_warnings(found))
 
 
 def _rms(error: Array) -> Array:
@@ -142,7 +133,7 @@ def _correlation(a: Array, b: Array) -> Array:
     return _ratio(np.sum(a * b, axis=0), norm)
 
 
-def _trained_on(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
+def _trained_on(fit: Fit, comparison: Comparison) -> list[errors.LieidWarning]:
     again = [
         source.name or "a recording"
         for source in comparison.recordings
@@ -151,16 +142,16 @@ def _trained_on(fit: Fit, comparison: Comparison) -> list[LieidWarning]:
     if not again:
         return []
     return [
-        SameRecordingWarning(
+        errors.SameRecordingWarning(
             f"{', '.join(again)} was used to fit the model: errors are training errors and smaller "
             "than on other recordings; compare with a recording that was not used"
         )
     ]
 
 
-def _beyond_training(fit: Fit, segments: Sequence[Processed]) -> list[LieidWarning]:
+def _beyond_training(fit: Fit, segments: Sequence[Processed]) -> list[errors.LieidWarning]:
     """Return a warning for each smooth function that the motion leaves: it is zero out there."""
-    found: list[LieidWarning] = []
+    found: list[errors.LieidWarning] = []
     ends = iter(fit.shapes)
     for placement in fit.model.placements:
         outside, ranges = [], []
@@ -176,7 +167,7 @@ def _beyond_training(fit: Fit, segments: Sequence[Processed]) -> list[LieidWarni
         part = float(np.mean(np.any(outside, axis=0))) if outside else 0.0
         if part > BEYOND:
             found.append(
-                BeyondTrainingWarning(
+                errors.BeyondTrainingWarning(
                     f"{100 * part:.0f} % of the samples are outside the range in which "
                     f"{placement.label} was trained ({', '.join(ranges)}), and it falls to zero "
                     "there: train with motion through the whole range"
@@ -189,7 +180,7 @@ _NUMBER = r"((?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?)"
 _PART = re.compile(rf"(?:@| episodes ){_NUMBER}:{_NUMBER}$")
 
 
-def _overlap(a: Source, b: Source) -> bool:
+def _overlap(a: recording_checks.Source, b: recording_checks.Source) -> bool:
     """Return whether two recordings share samples: the same data with overlapping parts."""
     if not a.sha256 or a.sha256 != b.sha256:
         return False

@@ -17,17 +17,11 @@ from lieid_casadi.errors import (
     RecordingError,
     ShortSegmentWarning,
 )
-from lieid_casadi.recording import filtering
+from lieid_casadi.recording import filtering, spectrum
 from lieid_casadi.recording.measurement import read_only
 from lieid_casadi.recording.recording import Recording
 from lieid_casadi.recording.repairs import without_repeats
 from lieid_casadi.recording.sample_timing import require_plausible_rate, sample_rate
-from lieid_casadi.recording.spectrum import (
-    choose_cutoff,
-    noise_dead_zone,
-    noise_spread,
-    resolution,
-)
 
 #: Largest weight of samples at rest in a filtered sample that counts as moving.
 LARGEST_REST_WEIGHT = 0.1
@@ -204,7 +198,7 @@ def process(
     for recording in given:
         require_plausible_rate(recording.t, recording.title)
     options = options or Processing()
-    cutoff = options.cutoff or float(np.median([choose_cutoff(r) for r in given]))
+    cutoff = options.cutoff or float(np.median([spectrum.choose_cutoff(r) for r in given]))
     options = replace(options, cutoff=cutoff)
     done: list[Processed] = []
     short: list[LieidWarning] = []
@@ -318,7 +312,7 @@ def _motion_at(part: Recording, times: Array, cutoff: float) -> _Motion:
         def is_better(factor: float, frequency: float) -> Mask:
             """Mark joints (n,) whose derivative has less noise at a rate than the velocity."""
             step = max(1, int(rate / frequency))
-            noise = noise_spread(filtering.decimate(measured, rate, step))
+            noise = spectrum.noise_spread(filtering.decimate(measured, rate, step))
             return np.asarray(factor * _derivative_noise(q, derivative, rate, step) < noise)
 
         derived = is_better(MUCH_LESS_NOISE, RATE_OVER_BAND * band)
@@ -326,7 +320,7 @@ def _motion_at(part: Recording, times: Array, cutoff: float) -> _Motion:
         better = is_better(LESS_NOISE, RATE_OVER_CUTOFF * cutoff)
         if not np.array_equal(derived, better):
             for_acceleration = np.where(better, derivative, measured)
-        own = noise_dead_zone(measured, kept=band / (0.5 * rate))
+        own = spectrum.noise_dead_zone(measured, kept=band / (0.5 * rate))
         dead_zone = np.where(derived, dead_zone, own)
     dq = filtering.lowpass(velocity, rate, band)
     if part.ddq is not None:
@@ -364,11 +358,11 @@ def _derivative_noise(q: Array, derivative: Array, rate: float, step: int) -> Ar
     bend = np.diff(slow, n=2, axis=0) / (6.0 * step**2)
     missed = 1.4826 * np.median(np.abs(bend), axis=0)
     # rounding jumps as often as the motion crosses a quantum, at most every sample
-    quantum = resolution(q)
+    quantum = spectrum.resolution(q)
     speed = np.sqrt(np.mean(slow**2, axis=0))
     share = np.clip(rate / step * quantum / np.maximum(speed, 1e-300), 1.0 / step, 1.0)
     rounding = quantum / np.sqrt(12.0) * np.sqrt(share) * 0.5 * np.pi * rate / step
-    return np.asarray(np.sqrt(noise_spread(slow) ** 2 + missed**2 + rounding**2))
+    return np.asarray(np.sqrt(spectrum.noise_spread(slow) ** 2 + missed**2 + rounding**2))
 
 
 def _derivative_dead_zone(q: Array, derivative: Array, rate: float, band: float) -> Array:
@@ -376,4 +370,6 @@ def _derivative_dead_zone(q: Array, derivative: Array, rate: float, band: float)
     step = max(1, int(rate / (RATE_OVER_BAND * band)))
     low = filtering.decimate(derivative, rate, step)
     kept = min(1.0, band / (0.5 * rate / step))
-    return noise_dead_zone(low, kept=kept, quantum=resolution(q) * min(band, 0.5 * rate))
+    return spectrum.noise_dead_zone(
+        low, kept=kept, quantum=spectrum.resolution(q) * min(band, 0.5 * rate)
+    )

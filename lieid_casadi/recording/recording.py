@@ -25,17 +25,13 @@ from lieid_casadi.recording.measurement import (
     read_only,
     require_sound,
 )
+from lieid_casadi.recording.readers import registry
 from lieid_casadi.recording.readers.columns import (
     ColumnNames,
     is_name,
     measurement_of_columns,
     parse_columns,
     reassigned,
-)
-from lieid_casadi.recording.readers.registry import (
-    ReadOptions,
-    read_measurement,
-    write_measurement,
 )
 from lieid_casadi.recording.repairs import repaired, without_damaged_rows
 from lieid_casadi.recording.sample_timing import sample_rate, segment_edges
@@ -221,7 +217,7 @@ class Recording(Measurement):
         moved = [pair for pair in stated if is_name(pair[1])]
         # of a file with more joints: those of one arm, each of which is stated
         own = n if n and {f"q{j + 1}" for j in range(n)} <= {name for name, _ in moved} else None
-        options = ReadOptions(
+        options = registry.ReadOptions(
             n=n if own is None else None,
             joint_names=None if joint_names is None else tuple(joint_names),
             topic=topic,
@@ -232,7 +228,7 @@ class Recording(Measurement):
             degrees=conversion.unit_factors(units)[1] != 1.0,
             part=_part_ends(start, end, conversion.unit_factors(units)[0]),
         )
-        made = conversion.convert_units(read_measurement(file, options), units, revolute)
+        made = conversion.convert_units(registry.read_measurement(file, options), units, revolute)
         made = reassigned(made, moved, own)
         made = replace(made, columns=tuple("=".join(pair) for pair in stated))
         recording = cls.of_measurement(made, revolute).with_torque(torque_constants, drives)
@@ -312,7 +308,7 @@ class Recording(Measurement):
         OutputError
             The file cannot be written.
         """
-        write_measurement(self, Path(path))
+        registry.write_measurement(self, Path(path))
 
     def with_torque(self, constants: ArrayLike | None, drives: Sequence[Drive] | None) -> Self:
         """Return the recording, with torque from commands or currents where it has none."""

@@ -8,11 +8,12 @@ import platform
 import shlex
 from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
+import lieid_casadi as lieid
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.comparison.comparison import (
     BEYOND_NOISE,
@@ -21,6 +22,7 @@ from lieid_casadi.comparison.comparison import (
     largest_errors_table,
     verdict,
 )
+from lieid_casadi.diagnosis.extend import Extension
 from lieid_casadi.diagnosis.result import (
     evidence_table,
     motion_table,
@@ -36,14 +38,6 @@ from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.payload.estimate import not_identified
 from lieid_casadi.report.page import Section, picture_section, render, table_section
 from lieid_casadi.tables import Table, figures, make_table, std_text, value_text
-
-if TYPE_CHECKING:
-    from lieid_casadi.diagnosis import Diagnosis
-    from lieid_casadi.diagnosis.extend import Extension
-    from lieid_casadi.experiments import Experiment
-    from lieid_casadi.payload import PayloadEstimate
-    from lieid_casadi.premises import PremiseCheck
-    from lieid_casadi.robot import Robot
 
 SIGNIFICANT = 2.0  # standard deviations away from zero
 
@@ -70,7 +64,7 @@ def fit_report(fit: Fit) -> str:
     )
 
 
-def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None) -> str:
+def diagnosis_report(diagnosis: lieid.Diagnosis, comparison: Comparison | None = None) -> str:
     """Return the HTML report of a diagnosis; with a comparison of its last fit, that too."""
     fit, sentences = diagnosis.fit, diagnosis.sentences
     summary = diagnosis_summary(diagnosis)
@@ -104,7 +98,7 @@ def diagnosis_report(diagnosis: Diagnosis, comparison: Comparison | None = None)
     )
 
 
-def experiment_report(result: Experiment) -> str:
+def experiment_report(result: lieid.Experiment) -> str:
     """Return the HTML report of an experiment: round by round, then the last diagnosis."""
     sections = [
         table_section("Result", result.table(), sentences=result.sentences),
@@ -131,7 +125,7 @@ def experiment_report(result: Experiment) -> str:
     return render(f"{result.robot}: experiment", sections)
 
 
-def diagnosis_summary(diagnosis: Diagnosis) -> str:
+def diagnosis_summary(diagnosis: lieid.Diagnosis) -> str:
     """Return by how much the error falls with all effects; empty if none was found."""
     _, errors = diagnosis.shown
     if not diagnosis.steps or len(errors) < 2:
@@ -195,7 +189,7 @@ def extension_tables(extension: Extension) -> tuple[Table, Table]:
     return errors, parameters
 
 
-def premises_report(robot: Robot, found: PremiseCheck) -> str:
+def premises_report(robot: lieid.Robot, found: lieid.PremiseCheck) -> str:
     """Return the HTML report of a check of premises."""
     sentences = [found.sentence, *(finding.sentence for finding in found.findings)]
     check = "lieid check ROBOT REC "
@@ -243,7 +237,7 @@ def _after_comparison(fit: Fit, comparison: Comparison) -> list[tuple[str, str]]
     return [("search for missing effects", shlex.join(words))]
 
 
-def _after_diagnosis(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+def _after_diagnosis(diagnosis: lieid.Diagnosis) -> list[tuple[str, str]]:
     """Return the commands that separate rivals, fit or find the final model, and use it."""
     found = []
     for step in diagnosis.steps:
@@ -266,7 +260,7 @@ def _after_diagnosis(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     return found
 
 
-def payload_report(fit: Fit, payload: PayloadEstimate) -> str:
+def payload_report(fit: Fit, payload: lieid.PayloadEstimate) -> str:
     """Return the HTML report of a payload."""
     note = (
         "RMS error in motion, measured and predicted through the same filter: with the fit alone, "
@@ -401,7 +395,7 @@ def _fact(name: str, text: str) -> tuple[str, str]:
     return name, Markup(formula_html(text)) if name == "formula" else text
 
 
-def _payload(payload: PayloadEstimate) -> Section:
+def _payload(payload: lieid.PayloadEstimate) -> Section:
     """Return the table of quantities, and those that cannot be identified."""
     rows = payload.table()
     parts = not_identified(payload)
