@@ -27,16 +27,9 @@ from lieid_casadi.identification.feasible.certificate import position_range
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axes
 from lieid_casadi.messages import joints_text
-from lieid_casadi.robot import Joint
+from lieid_casadi.robot import Joint, inertia
 from lieid_casadi.robot.description import STANDARD_GRAVITY
 from lieid_casadi.robot.geometry import pose
-from lieid_casadi.robot.inertia import (
-    body_inertia,
-    link_parameters,
-    parameter_transport,
-    pseudo_inertia,
-    symmetric,
-)
 
 SHARE = 0.5  # of the largest possible share, if the rigidly attached links cannot keep all
 KEPT = 0.95  # below this fraction of the possible inertia they keep all
@@ -149,9 +142,9 @@ def split(identified: Array, members: Sequence[RigidMember]) -> InertiaSplit:
     heavy = tuple(m for m in members if np.any(m.nominal != 0.0))
     carried = np.zeros(10)
     for member in heavy:
-        carried += parameter_transport(member.placement) @ member.nominal
-    root = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(identified)))
-    largest = float(np.linalg.eigvalsh(root @ pseudo_inertia(carried) @ root.T)[-1])
+        carried += inertia.parameter_transport(member.placement) @ member.nominal
+    root = np.linalg.inv(np.linalg.cholesky(inertia.pseudo_inertia(identified)))
+    largest = float(np.linalg.eigvalsh(root @ inertia.pseudo_inertia(carried) @ root.T)[-1])
     share = 1.0 if largest < KEPT else SHARE / largest
     return InertiaSplit(identified - share * carried, share, heavy)
 
@@ -198,8 +191,8 @@ def stated_parameters(link: Element) -> Array:
     stated = inertial.find("inertia")
     keys = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
     six = [0.0 if stated is None else float(stated.attributes.get(key, "0")) for key in keys]
-    turned = place[:3, :3] @ symmetric(six) @ place[:3, :3].T
-    return link_parameters(float(mass.attributes.get("value", "0")), place[:3, 3], turned)
+    turned = place[:3, :3] @ inertia.symmetric(six) @ place[:3, :3].T
+    return inertia.link_parameters(float(mass.attributes.get("value", "0")), place[:3, 3], turned)
 
 
 def origin_of(element: Element) -> Array:
@@ -215,7 +208,7 @@ def origin_of(element: Element) -> Array:
 
 def inertial_text(parameters: Array) -> str:
     """Return an <inertial> element of link parameters (10,), with all their digits."""
-    body = body_inertia(parameters)
+    body = inertia.body_inertia(parameters)
     i = body.inertia
     com = " ".join(number(x) for x in body.com)
     return (
