@@ -54,6 +54,7 @@ GAUGES = {
         "SELECT coalesce(arg_max(seconds, finished), 0) FROM calls",
     ),
 }
+ESCAPED = str.maketrans({"\\": r"\\", '"': r"\"", "\n": r"\n"})  # in values of labels
 
 
 def prometheus_text(history: History) -> str:
@@ -65,11 +66,7 @@ def prometheus_text(history: History) -> str:
         labels = [column[0] for column in found.description[:-1]]
         for *values, value in found.fetchall():
             pairs = zip(labels, map(str, values), strict=True)
-            shown = ",".join(f'{label}="{_escaped(own)}"' for label, own in pairs)
+            shown = ",".join(f'{label}="{own.translate(ESCAPED)}"' for label, own in pairs)
             braces = f"{{{shown}}}" if shown else ""
             lines.append(f"lieid_fleet_{name}{braces} {float(value)!r}")
     return "\n".join(lines) + "\n"
-
-
-def _escaped(text: str) -> str:
-    return text.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")

@@ -119,7 +119,9 @@ class Computation:
         exact = len(fits) == 1
         made = self._evaluation(step, fits[0], exact=exact, complete=False, share=share)
         others = (self._unseen_error(step, fit) for fit in fits[1:])
-        return replace(made, errors=_larger(made.errors, *others))
+        every = np.array([made.errors.shown, *others], dtype=float)  # of each joint the largest
+        shown = tuple(numbers_or_none(every.max(axis=0)))
+        return replace(made, errors=replace(made.errors, shown=shown))
 
     def fit(self, step: ModelStep, report: Progress) -> Fit:
         """Return the exact fit of a step, with standard deviations."""
@@ -306,12 +308,6 @@ class Computation:
         if len(same) > (KEPT_PREPARED if key[0] == "prepared" else KEPT_RESULTS):
             del self._results[same[0]]
         return value
-
-
-def _larger(errors: StepErrors, *others: Array) -> StepErrors:
-    """Return errors with the largest one of each joint."""
-    every = np.array([errors.shown, *others], dtype=float)
-    return replace(errors, shown=tuple(numbers_or_none(every.max(axis=0))))
 
 
 def _spread(comparison: Comparison) -> Array:
