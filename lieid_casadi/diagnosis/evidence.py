@@ -121,7 +121,7 @@ def judge(
             mine = members[k][group]
             candidate = columns.candidate(group)
             own = range(n) if candidate.reaches_all else [candidate.joint]
-            kinds = candidate.effect.like_uncertain_friction
+            kinds = friction.keys() & candidate.effect.like_uncertain_friction
             beside = [places[kind][j] for kind in kinds for j in own]
             used = _without_later_functions(path, mine, columns)
             at = steady if "rest" in kinds else None

@@ -141,6 +141,8 @@ def _selected(steps: Sequence[Step]) -> str:
     selected, together = step.evidence.selected, step.evidence.selected_with_rivals
     if selected == 1.0:
         if step.status == "one_of" and not step.rivals:
+            if step.effect in REGISTER and make(step.effect).like_uncertain_friction:
+                return "; a joint that sticks for a moment at each reversal may look the same"
             return f"; its gain{where} is only {step.evidence.deviations:.1f} standard errors"
         return ""
     text = f"; without single parts of the data it was selected{where} in {100 * selected:.0f} %"

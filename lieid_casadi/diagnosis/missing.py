@@ -183,6 +183,8 @@ class MissingEffects:
                 break
             rows = self._beside(fit, rows)
         fit, accepted = self._with_the_same_elsewhere(fit, accepted, rows)
+        if self.unseen is None and late_friction(found, self.options.worth):
+            fit, accepted = self._with_delays(fit, accepted, rows)
         return *self._final(fit, accepted), found
 
     def _with_the_same_elsewhere(
@@ -205,6 +207,23 @@ class MissingEffects:
             wanted=lambda c: self._is_wanted(c) and c.name in common and not c.reaches_all,
         )
         new = self._accepted(found, accepted)
+        return self._plausible([*accepted, *new]) if new else (fit, accepted)
+
+    def _with_delays(
+        self, fit: Fit, accepted: list[Accepted], rows: Rows
+    ) -> tuple[Fit, list[Accepted]]:
+        """Return the fit with delays where dry friction reverses late and nothing else explains it.
+
+        They lower the error there whether the torque is late or the joint sticks for a moment, so
+        that their names are not certain.
+        """
+        found = search(
+            self._beside(fit, rows),
+            self.options,
+            wanted=lambda c: self._is_wanted(c) and c.effect.like_uncertain_friction == ("late",),
+            beside_friction=False,
+        )
+        new = [replace(a, certain=False) for a in self._accepted(found, accepted)]
         return self._plausible([*accepted, *new]) if new else (fit, accepted)
 
     def _is_wanted(self, candidate: Candidate) -> bool:

@@ -72,12 +72,13 @@ def search(
     wanted: Callable[[Candidate], bool],
     prior: Array | None = None,
     noise: Sequence[Noise] | None = None,
+    beside_friction: bool = True,
 ) -> Round:
     """Return the effects of a path on all rows, judged on held-out parts.
 
     ``wanted`` chooses the candidates, ``prior`` (k, p) are rows that state the uncertainty of a
     model that is kept, ``noise`` that of each joint (by default that of the residual beside the
-    path).
+    path). Without ``beside_friction`` a delay may explain what late friction does.
     """
     # smooth functions are chosen anew for every residual
     rows = rows.with_candidates([c for c in rows.columns.owners if c.name != SMOOTH and wanted(c)])
@@ -104,12 +105,17 @@ def search(
         rest = _residual_beside(paths, first, rows, scale)
         noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
     dependence = _dependence(paths.columns, noise)
-    folds, slots = _judged(paths, rows, scale, dependence, options)
+    folds, slots = _judged(paths, rows, scale, dependence, options, beside_friction)
     return Round(rows, scale, folds, paths, slots)
 
 
 def _judged(
-    paths: Paths, rows: Rows, spread: Array, dependence: Array, options: DiagnosisOptions
+    paths: Paths,
+    rows: Rows,
+    spread: Array,
+    dependence: Array,
+    options: DiagnosisOptions,
+    beside_friction: bool,
 ) -> tuple[Folds, tuple[Slot, ...]]:
     """Return the held-out parts, and the effects of the path on all rows as these judge it.
 
@@ -128,7 +134,7 @@ def _judged(
     kinds = {kind for c in rows.columns.owners for kind in c.effect.like_uncertain_friction}
     friction = {
         kind: _in_span(paths.span, UNCERTAIN_FRICTION[kind](rows), rows.weights(spread))
-        for kind in sorted(kinds)
+        for kind in sorted(kinds if beside_friction else ())
     }
 
     steady = np.concatenate(rows.away_from_reversals)

@@ -19,6 +19,7 @@ from lieid_casadi.diagnosis.smooth_functions import followed_signals
 from lieid_casadi.errors import (
     EffectError,
     IdentificationError,
+    LateFrictionWarning,
     SameRecordingWarning,
     UnidentifiableWarning,
 )
@@ -158,6 +159,18 @@ def test_cross_talk_of_torque_sensors_is_a_smooth_function_of_the_other_joints_l
     assert step.label == "smooth/load1:2"
     before = lieid.compare(lieid.identify(MODEL, run(arm, 1)), run(arm, 2)).rms[1]
     assert step.errors["rms_test"][1] < 0.5 * before
+
+
+def test_a_delay_that_resembles_late_friction_is_added_without_a_certain_name():
+    arm = arm_with().with_effects(plant.TorqueDelay(1, delay=0.006))
+    diagnosis = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2))
+    (step,) = diagnosis.steps
+    assert (step.label, step.status) == ("torque_delay:2", "one_of")
+    assert step.parameters["delta"] == pytest.approx(0.006, abs=0.001)
+    assert step.errors["rms_test"][1] < 0.97 * diagnosis.baseline["rms_test"][1]
+    assert any(isinstance(w, LateFrictionWarning) for w in diagnosis.warnings)
+    alone = replace(diagnosis, steps=(replace(step, rivals=()),))
+    assert "a joint that sticks for a moment at each reversal may look the same" in alone.sentence
 
 
 def spot(q, place, width):
