@@ -191,6 +191,7 @@ def test_files_are_dropped_and_their_columns_assigned(start, browse, two_link_fi
 def a_bad_file_is_one_line_beside_the_field(page, folder):
     bad = folder / "bad.csv"
     bad.write_text("t,q1,q2\n0,1,nan\n1,2,3\n")
+    page.wait(lambda: not page.shown("open-recording"), "the form that fades away")
     page.click("open-files-panel", done=lambda: page.shown("open-recording"))
     for path, found in ((str(bad), "bad.csv"), ("/no/such.csv", "/no/such.csv")):
         page.element("open-recording").send_keys(path)
