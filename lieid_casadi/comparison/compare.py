@@ -152,10 +152,9 @@ def _trained_on(fit: Fit, comparison: Comparison) -> list[errors.LieidWarning]:
 def _beyond_training(fit: Fit, segments: Sequence[Processed]) -> list[errors.LieidWarning]:
     """Return a warning for each smooth function that the motion leaves: it is zero out there."""
     found: list[errors.LieidWarning] = []
-    ends = iter(fit.shapes)
-    for placement in fit.model.placements:
-        outside, ranges = [], []
-        for shape, end in zip(placement.effect.shapes, ends, strict=False):
+    for slot in fit.model.slots:
+        placement, outside, ranges = slot.placement, [], []
+        for shape, end in zip(placement.effect.shapes, fit.shapes[slot.shapes], strict=True):
             if shape.data is None:
                 continue
             values = signal_of(shape.data, placement.joint, segments)

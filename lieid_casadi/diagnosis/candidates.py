@@ -215,6 +215,11 @@ def is_form(effect: Effect) -> bool:
     return bool(variant) and follows_velocity(effect)
 
 
+def is_delay(effect: Effect) -> bool:
+    """Return whether an effect resembles dry friction that reverses late, and nothing else."""
+    return effect.like_uncertain_friction == ("late",)
+
+
 def follows_velocity(effect: Effect) -> bool:
     """Return whether an effect is a function of its joint's velocity alone."""
     alone = not (effect.states or effect.couples or effect.whole_arm)

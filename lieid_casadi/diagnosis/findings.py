@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lieid_casadi.diagnosis.candidates import is_delay
 from lieid_casadi.diagnosis.step import Difference, Step, Unexplained
 from lieid_casadi.effects.registry import REGISTER, make
 from lieid_casadi.tables import std_text, value_text
@@ -141,7 +142,7 @@ def _selected(steps: Sequence[Step]) -> str:
     selected, together = step.evidence.selected, step.evidence.selected_with_rivals
     if selected == 1.0:
         if step.status == "one_of" and not step.rivals:
-            if step.effect in REGISTER and make(step.effect).like_uncertain_friction:
+            if step.effect in REGISTER and is_delay(make(step.effect)):
                 return "; a joint that sticks for a moment at each reversal may look the same"
             return f"; its gain{where} is only {step.evidence.deviations:.1f} standard errors"
         return ""

@@ -11,7 +11,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
-from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_form
+from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay, is_form
 from lieid_casadi.diagnosis.evidence import OTHER_JOINTS, Slot
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.motion import UnseenMotion
@@ -220,7 +220,7 @@ class MissingEffects:
         found = search(
             self._beside(fit, rows),
             self.options,
-            wanted=lambda c: self._is_wanted(c) and c.effect.like_uncertain_friction == ("late",),
+            wanted=lambda c: self._is_wanted(c) and is_delay(c.effect),
             beside_friction=False,
         )
         new = [replace(a, certain=False) for a in self._accepted(found, accepted)]

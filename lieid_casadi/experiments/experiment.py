@@ -259,9 +259,7 @@ class _Loop:
             recording = record(motion)
             if recording.n != model.n:
                 raise RecordError(f"a recording of {recording.n} joints; expected {model.n}")
-            # slow runs alone do not show an arm's premises, which are those of all recordings
-            every = [*(r for r, _ in self.recorded), recording]
-            warnings = [] if despite_check else check_premises(model, every)
+            warnings = [] if despite_check else check_premises(model, recording)
             starts, more = doubts(motion, recording, fit, first)
             unseen = () if fit is None else _finite(compare(fit, recording).rms_moving)
         except PremiseError:

@@ -6,7 +6,7 @@ import shlex
 import shutil
 import signal
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -136,9 +136,9 @@ def doubts(
     return start, found
 
 
-def check_premises(model: Model, recordings: Sequence[Recording]) -> list[str]:
+def check_premises(model: Model, recording: Recording) -> list[str]:
     """Return doubtful premises in sentences; one that is certainly wrong is a `PremiseError`."""
-    found = check_where_possible(model, recordings)
+    found = check_where_possible(model, [recording])
     if found.refusal:
         raise PremiseError(f"{found.refusal} Correct it, or continue with --despite-check")
     return [finding.sentence for finding in found.findings]

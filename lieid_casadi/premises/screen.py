@@ -66,8 +66,13 @@ class Errors:
 
     @property
     def relative(self) -> Array:
-        """(1 or 2, n) errors, free and stated, as parts of the torque."""
-        return np.maximum(self.rms / self.scale, LEAST_RELATIVE)
+        """(1 or 2, n) errors, free and stated, as parts of the torque.
+
+        Where the motion does not determine the free fit, the mean of the torque predicts better.
+        """
+        parts = self.rms / self.scale
+        parts[0] = np.minimum(parts[0], 1.0)
+        return np.maximum(parts, LEAST_RELATIVE)
 
     def score(self, base: Errors) -> float:
         """Return the sum of the logarithms of all errors relative to those of a base."""

@@ -15,6 +15,8 @@ from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.fleet.arm_night import ArmNight, load_night
 from lieid_casadi.premises.correction import correction_of, gravity_of, shifted
+from lieid_casadi.premises.plain_fit import FreeFit
+from lieid_casadi.premises.screen import Errors
 from lieid_casadi.robot.yaml_file import write_yaml
 
 ROBOT = load_arm("ur10e")
@@ -163,6 +165,18 @@ def test_what_centres_of_mass_do_not_explain_is_found(k, option, premise):
     arm, run = drawn_run(k)
     assert lieid.check(arm, run).verdict == "sound"
     assert lieid.check(arm, corrected(run, option)).findings[0].premise == premise
+
+
+def test_errors_above_the_variation_of_the_torque_compare_no_hypotheses():
+    """Motion that does not determine the free fit: its held-out error is of any size."""
+
+    def errors(*held_out):
+        free = FreeFit(np.zeros(1), np.zeros((2, 7)), np.ones(2), np.array(held_out), np.zeros(1))
+        return Errors(free, None, np.array([1.0, 0.5]), np.zeros((1, 2)))
+
+    undetermined, other, clear = errors(0.2, 7.4), errors(0.2, 1.1), errors(0.2, 0.1)
+    assert other.score(undetermined) == 0.0
+    assert clear.score(undetermined) == pytest.approx(np.log(0.2))
 
 
 def test_joints_that_a_recording_leaves_open_are_listed():
