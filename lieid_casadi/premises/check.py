@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 
-from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.errors import LieidError
 from lieid_casadi.identification import Fit
@@ -17,10 +16,18 @@ from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.messages import joints_text
 from lieid_casadi.model import Model
 from lieid_casadi.premises import joints, match, mounting, samples, timing, torque_signal
-from lieid_casadi.premises.correction import Correction, for_recording, with_all_remedies
-from lieid_casadi.premises.findings import Finding, PremiseCheck, fall
+from lieid_casadi.premises.correction import Correction
+from lieid_casadi.premises.findings import Finding, PremiseCheck
 from lieid_casadi.premises.joints import ALIKE
 from lieid_casadi.premises.plain_fit import Samples, samples_of
+from lieid_casadi.premises.remedies import (
+    SHOWS,
+    Wrong,
+    findings_of,
+    mean_ratio,
+    most_shown,
+    rounded,
+)
 from lieid_casadi.premises.rigid_columns import RigidArm
 from lieid_casadi.premises.screen import Alternative, Errors, Screen
 from lieid_casadi.recording import Recording
@@ -35,8 +42,6 @@ Progress = Callable[[str, float], None]
 DEPTH = 5
 #: Ratio of errors, with the correction to without, at and below which a premise is wrong.
 WRONG = 1.0 / 3.0
-#: A joint shows a premise if the correction lowers its error to this part.
-SHOWS = 0.7
 #: With stated inertias, which are never exact, the error falls by this multiple of what centres of
 #: mass beside the stated ones explain.
 BEYOND = 2.0
@@ -128,16 +133,15 @@ def check(
         state = replace(state, samples=state.samples.at(np.flatnonzero(jump[1])))
     findings += _velocity(state)
     given_errors = state.confirmed.base
-    corrected: list[tuple[Finding, Correction]] = []
+    corrected: list[Wrong] = []
     for depth in range(DEPTH):
         found = _reversed(state, every=True) or _strongest(state, report, depth)
         found = found or _reversed(state, every=False)
         if found is None:
             break
         corrected.append(found)
-        state = state.corrected(found[1])
-    together = with_all_remedies(corrected, arm.n, given[0].corrections)
-    corrections = [for_recording(finding, given[0]) for finding in together]
+        state = state.corrected(found.alternative.correction)
+    corrections = findings_of(corrected, given[0])
     known = any(finding.certain for finding in [*findings, *corrections])
     mismatch = _mismatch(given_errors, state.confirmed.base, certain=not known)
     if mismatch is None or not mismatch.certain:  # corrections of another arm are none
@@ -255,8 +259,8 @@ class _State:
         )
 
 
-def _strongest(state: _State, report: Progress, depth: int) -> tuple[Finding, Correction] | None:
-    """Return the strongest finding and its correction, or None if nothing is found."""
+def _strongest(state: _State, report: Progress, depth: int) -> Wrong | None:
+    """Return the premise whose correction lowers the errors most, or None if none does."""
     base, full = state.confirmed.base, state.confirmed
     most = np.sqrt(np.maximum(base.rms[-1] ** 2 - (WRONG * base.free.error) ** 2, 0.0))
     if np.all(base.relative[0] <= LEAST_BEFORE) and np.all(most <= BEYOND * full.displaced):
@@ -273,9 +277,9 @@ def _strongest(state: _State, report: Progress, depth: int) -> tuple[Finding, Co
     for score, alternative in scored[:CONFIRMATIONS]:
         if score > WORTH_CONFIRMING:
             break
-        finding = _confirmed(state.confirmed, alternative)
-        if finding is not None:
-            return finding, alternative.correction
+        found = _confirmed(state.confirmed, alternative)
+        if found is not None:
+            return found
     return None
 
 
@@ -295,20 +299,20 @@ def _alternatives(state: _State, screen: Screen) -> Iterator[tuple[str, Iterator
         yield "time_offset", timing.delays(screen)
 
 
-def _confirmed(full: Screen, alternative: Alternative) -> Finding | None:
-    """Return an alternative as a finding if it lowers the held-out errors."""
+def _confirmed(full: Screen, alternative: Alternative) -> Wrong | None:
+    """Return an alternative with its errors if it lowers the held-out ones."""
     before, after = full.base, full.errors(alternative.correction)
     certain = _lower(full, before, after, alternative)
     if certain is None:
         return None
     kind = 1 if _by_stated(before, after) else 0
-    return _finding(alternative, before, after, kind, certain=certain)
+    return Wrong.of(alternative, before, after, kind, certain=certain)
 
 
 def _by_stated(before: Errors, after: Errors) -> bool:
     """Return whether the stated fit shows a fall of the errors, and the free one does not."""
     ratios = after.relative / before.relative
-    return _ratio(ratios[0]) > max(WRONG, _ratio(ratios[-1]))
+    return mean_ratio(ratios[0]) > max(WRONG, mean_ratio(ratios[-1]))
 
 
 def _lower(full: Screen, before: Errors, after: Errors, alternative: Alternative) -> bool | None:
@@ -333,46 +337,14 @@ def _lower(full: Screen, before: Errors, after: Errors, alternative: Alternative
     kind = 1 if shown_stated and _by_stated(before, after) else 0
     if not kind and not shown_free.any():
         return None
-    certain = _ratio(ratios[kind]) <= WRONG and bool(np.all(ratios[kind] < WORSE))
+    certain = mean_ratio(ratios[kind]) <= WRONG and bool(np.all(ratios[kind] < WORSE))
     if kind:  # on one joint alone, less is within the errors of stated inertias
         plain = (before.relative[1] > match.SOUND) | ((before.driven < 0) & (after.driven > 0))
         certain &= beyond.sum() > 1 or bool(np.any(beyond & plain))
     return certain and not alternative.small
 
 
-def _finding(
-    alternative: Alternative,
-    before: Errors,
-    after: Errors,
-    kind: int = 0,
-    *,
-    certain: bool = False,
-    unshown: str = "",
-) -> Finding:
-    """Return an alternative as a finding; ``unshown`` is its sentence if no error falls."""
-    ratios = (after.relative / before.relative)[kind]
-    first, last = before.rms[kind], after.rms[kind]
-    if alternative.premise == "torque_unit":
-        first = first * after.scale / before.scale  # in the same unit
-    shown = np.flatnonzero(ratios < SHOWS)
-    if shown.size or not unshown:
-        shown = shown if shown.size else np.array([int(np.argmin(ratios))])
-        basis = " (with the stated inertias)" if kind else ""
-        unshown = f"{alternative.what} {fall(first, last, shown.tolist())}{basis}."
-    return Finding(
-        alternative.premise,
-        alternative.joints or _most(ratios),
-        alternative.value,
-        unshown,
-        alternative.remedy,
-        certain=certain,
-        error_before=_rounded(first),
-        error_after=_rounded(last),
-        ratio=float(f"{_ratio(ratios):.3g}"),
-    )
-
-
-def _reversed(state: _State, *, every: bool) -> tuple[Finding, Correction] | None:
+def _reversed(state: _State, *, every: bool) -> Wrong | None:
     """Return the opposite sign of the torque of joints that friction drives instead of braking.
 
     A free fit has the same error with either sign, and negative masses with the wrong one.
@@ -389,30 +361,14 @@ def _reversed(state: _State, *, every: bool) -> tuple[Finding, Correction] | Non
         worse = np.sum(np.log(after.relative[-1] / base.relative[-1])) > (0.0 if every else -ALIKE)
         own = driven if every else np.arange(len(driven)) == alternative.joints[0]
         if not worse and not np.any(after.driven[own] < 0):
-            unshown = f"{alternative.what.partition(': with')[0]}. Correct it with "
-            unshown += f"{alternative.remedy}."
-            finding = _finding(
-                alternative, base, after, len(base.rms) - 1, certain=True, unshown=unshown
+            wrong = Wrong.of(alternative, base, after, len(base.rms) - 1, certain=True)
+            return replace(
+                wrong,
+                otherwise=f"{alternative.what.partition(': with')[0]}. Correct it with {{}}.",
+                added=" With the recorded sign, friction would drive the "
+                f"joint{'s' if every else ''}.",
             )
-            sentence = f"{finding.sentence} With the recorded sign, friction would drive "
-            sentence += "the joints." if every else "the joint."
-            return replace(finding, sentence=sentence), alternative.correction
     return None
-
-
-def _ratio(ratios: Array) -> float:
-    """Return the mean ratio on the joints that show a premise; 1 if none does."""
-    shown = ratios[ratios < SHOWS]
-    return float(np.exp(np.mean(np.log(shown)))) if shown.size else 1.0
-
-
-def _most(ratios: Array) -> tuple[int, ...]:
-    """Return up to three joints on which the error falls most."""
-    return tuple(sorted(int(j) for j in np.argsort(ratios)[:3] if ratios[j] < SHOWS))
-
-
-def _rounded(values: Array) -> tuple[float, ...]:
-    return tuple(float(f"{x:.4g}") for x in values)
 
 
 def _velocity(state: _State) -> list[Finding]:
@@ -421,9 +377,10 @@ def _velocity(state: _State) -> list[Finding]:
     if found is None:
         return []
     recorded = replace(state, samples=timing.with_measured_velocity(state.samples))
-    unshown = f"{found.what} the friction is that of the true velocity."
-    finding = _finding(found, recorded.confirmed.base, state.confirmed.base, unshown=unshown)
-    return [replace(finding, certain=(finding.ratio or 1.0) <= WRONG)]
+    wrong = Wrong.of(found, recorded.confirmed.base, state.confirmed.base)
+    otherwise = f"{found.what} the friction is that of the true velocity."
+    wrong = replace(wrong, otherwise=otherwise, certain=mean_ratio(wrong.ratios) <= WRONG)
+    return [wrong.finding(found.remedy)]
 
 
 def _mismatch(given: Errors, last: Errors, *, certain: bool) -> Finding | None:
@@ -442,7 +399,7 @@ def _mismatch(given: Errors, last: Errors, *, certain: bool) -> Finding | None:
         what = "or several premises are wrong at once and cannot be separated"
     return Finding(
         "robot_mismatch",
-        _most(-last.rms[-1] / last.scale),
+        most_shown(-last.rms[-1] / last.scale),
         {},
         f"This {'is' if certain else 'may be'} a recording of another arm, {what}: the stated "
         f"{basis} leave {100.0 * found[1]:.0f} % of the torque's rigid part unexplained, whatever "
@@ -450,7 +407,7 @@ def _mismatch(given: Errors, last: Errors, *, certain: bool) -> Finding | None:
         "use the description of the arm that was recorded, or state what is known of its mounting "
         "and joints (--base-rpy, --joint-order, --joint-sign) and check again",
         certain=certain,
-        error_before=_rounded(given.rms[-1]),
+        error_before=rounded(given.rms[-1]),
     )
 
 

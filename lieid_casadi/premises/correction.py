@@ -6,7 +6,7 @@ import contextlib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from scipy.optimize import linear_sum_assignment
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RecordingError
-from lieid_casadi.premises.findings import Finding, fall
 from lieid_casadi.premises.plain_fit import Samples
 from lieid_casadi.recording import Recording
 from lieid_casadi.robot import Robot
@@ -201,93 +200,6 @@ def load_by_columns(
         with contextlib.suppress(RecordingError):
             return Recording.load(path, **{**options, "columns": ",".join(columns)})
     return Recording.load(path, **options)
-
-
-def with_all_remedies(
-    found: Sequence[tuple[Finding, Correction]], n: int, before: Sequence[str] = ()
-) -> list[Finding]:
-    """Return findings, each of which was made after the corrections before it.
-
-    Their remedies become the options that correct the recording when they are given together and
-    in place of those ``before`` that it was read with, where options can state that. An order or a
-    mounting that was found in several steps is one finding.
-    """
-    corrections = [*(correction_of([text], n) for text in before), *(c for _, c in found)]
-    texts = options_of(reduce(Correction.then, corrections, Correction.none(n)))
-    if len(corrections) < 2 or texts is None:
-        return [finding for finding, _ in found]
-    earlier = [text.split()[0] for text in before]
-    made = dict[tuple[object, ...], Finding]()
-    for finding, _ in found:
-        names = dict.fromkeys([*re.findall(r"--[a-z-]+", finding.remedy), *earlier])
-        stated = [texts[name] for name in names if texts.get(name)]
-        if not stated and any(name in texts for name in names):
-            if not before:
-                continue  # a later correction takes it back
-            # options that change nothing replace those before
-            stated = [f"--joint-order {' '.join(str(j + 1) for j in range(n))}"]
-        remedy = " ".join(stated) or finding.remedy
-        sentence = finding.sentence.replace(finding.remedy, remedy)
-        if before:
-            sentence += f" The recording was read with {' '.join(before)}, which this replaces."
-        key: tuple[object, ...] = (
-            finding.premise,
-            finding.value.get("signals", finding.joints),
-        )
-        if finding.premise == "gravity_direction":
-            key = (finding.premise,)
-        first = made.pop(key, finding)
-        made[key] = replace(finding, remedy=remedy, sentence=sentence)
-        if first is not finding:
-            made[key] = _joined(first, made[key])
-    return list(made.values())
-
-
-def _joined(first: Finding, last: Finding) -> Finding:
-    """Return an order or a mounting that was found in two steps as one finding."""
-    what = re.sub(r"joints .*?: with", "joints in another order: with", last.sentence)
-    what = re.sub(r"mounted .*? in this", "mounted otherwise than stated in this", what)
-    value, joints, certain = last.value, last.joints, first.certain or last.certain
-    if value.get("signals") == "all":
-        order = [
-            int(word) for word in last.remedy.split("--joint-order ")[1].split(" --")[0].split()
-        ]
-        value = {**value, "order": order}
-        joints = tuple(j for j, k in enumerate(order) if k != j + 1)[:3]
-    if first.error_before is not None and last.error_after is not None:
-        before, after = np.array(first.error_before), np.array(last.error_after)
-        shown = np.flatnonzero(after < before).tolist()
-        what = re.sub("the error of .*? N·m", fall(before, after, shown), what)
-    return replace(
-        last,
-        value=value,
-        joints=joints,
-        sentence=what,
-        certain=certain,
-        error_before=first.error_before,
-    )
-
-
-def for_recording(finding: Finding, recording: Recording) -> Finding:
-    """Return a finding whose remedy goes with the columns and torque constants of a recording."""
-    columns = re.search(r"--columns (\S+) ?", finding.remedy)
-    constants = re.search(r"--torque-constants (\S+)", finding.remedy)
-    remedy = finding.remedy
-    if columns and constants and recording.torque_constants is not None:
-        products = np.array(constants[1].split(","), dtype=float) * recording.torque_constants
-        made = f"--torque-constants {','.join(f'{x:.4g}' for x in products)}"
-        remedy = remedy.replace(columns[0], "").replace(constants[0], made)
-    elif columns and recording.columns:
-        stated, new = (
-            dict(text.split("=", 1) for text in texts)
-            for texts in (recording.columns, columns[1].split(","))
-        )
-        kept = {n: c for n, c in stated.items() if n not in new and n not in new.values()}
-        every = kept | {name: stated.get(column, column) for name, column in new.items()}
-        remedy = remedy.replace(columns[1], ",".join("=".join(pair) for pair in every.items()))
-    return replace(
-        finding, remedy=remedy, sentence=finding.sentence.replace(finding.remedy, remedy)
-    )
 
 
 def options_of(correction: Correction) -> dict[str, str] | None:

@@ -32,10 +32,8 @@ def order(screen: Screen) -> Iterator[Alternative]:
     starts = [alphabetical, tuple(reversed(range(n)))]
     found = _best_order(screen, starts, lambda p: reordered(n, p))
     if found is not None:
-        text = " ".join(str(i + 1) for i in found)
         what = "in alphabetical order" if found == alphabetical else _moved("", found)
-        yield _order("all", found, f"The recording has its joints {what}", f"--joint-order {text}",
-                     reordered(n, found))  # fmt: skip
+        yield _order("joints", found, what, reordered(n, found))
 
 
 def torque_order(screen: Screen) -> Iterator[Alternative]:
@@ -43,20 +41,16 @@ def torque_order(screen: Screen) -> Iterator[Alternative]:
     n = screen.n
     found = _best_order(screen, [tuple(reversed(range(n)))], lambda p: torques(np.eye(n)[list(p)]))
     if found is not None:
-        wrong = [i for i in range(n) if found[i] != i]
-        option = "--columns " + ",".join(f"tau{i + 1}=tau{found[i] + 1}" for i in wrong)
-        what = f"The recording has its torques {_moved('tau', found)}"
-        yield _order("torque", found, what, option, torques(np.eye(n)[list(found)]))
+        yield _order("torques", found, _moved("tau", found), torques(np.eye(n)[list(found)]))
 
 
-def _order(
-    signals: str, found: tuple[int, ...], what: str, option: str, correction: Correction
-) -> Alternative:
-    """Return another order as an alternative."""
-    wrong = [i for i in range(len(found)) if found[i] != i]
+def _order(of: str, found: tuple[int, ...], what: str, correction: Correction) -> Alternative:
+    """Return another order of joints or torques as an alternative."""
+    wrong = tuple(i for i in range(len(found)) if found[i] != i)
+    signals = "all" if of == "joints" else "torque"
     value = {"order": [i + 1 for i in found], "signals": signals}
-    text = f"{what}: with {option}"
-    return Alternative("joint_order", tuple(wrong[:3]), value, text, option, correction, cost=0.3)
+    text, again = (f"The recording has its {of} {x}: with {{}}" for x in (what, "in another order"))
+    return Alternative("joint_order", wrong[:3], value, text, correction, cost=0.3, again=again)
 
 
 def _best_order(
@@ -107,24 +101,17 @@ def directions(screen: Screen) -> Iterator[Alternative]:
     """Yield for each joint the opposite direction of its axis, and the opposite torque."""
     n = screen.n
     for j in range(n):
-        sign = np.where(np.arange(n) == j, -1.0, 1.0)
-        flip, text = np.diag(sign), " ".join(f"{s:.0f}" for s in sign)
-        axis, torque = f"--joint-sign {text}", f"--torque-sign {text}"
-        for premise, what, option, correction, cost in (
-            ("joint_sign", f"Joint {j + 1} turns the other way in this recording", axis,
-             replace(Correction.none(n), position=flip), 0.0),
-            ("torque_sign", f"The torque of joint {j + 1} has the opposite sign", torque,
-             torques(flip), 0.0),
-            ("joint_sign", f"Joint {j + 1} turns the other way in this recording, not its torque",
-             f"{axis} {torque}", replace(Correction.none(n), position=flip, torque=flip), 0.3),
-        ):  # fmt: skip
-            yield Alternative(premise, (j,), {}, f"{what}: with {option}", option, correction, cost)
-    option = "--torque-sign " + " ".join(n * ["-1"])
-    yield Alternative(
-        "torque_sign", (), {},
-        f"All torques have the opposite sign (those of the surroundings on the arm): with {option}",
-        option, torques(-np.eye(n)),
-    )  # fmt: skip
+        flip = np.diag(np.where(np.arange(n) == j, -1.0, 1.0))
+        turned = replace(Correction.none(n), position=flip)
+        turns = f"Joint {j + 1} turns the other way in this recording"
+        for premise, what, correction, cost in (
+            ("joint_sign", turns, turned, 0.0),
+            ("torque_sign", f"The torque of joint {j + 1} has the opposite sign", torques(flip), 0),
+            ("joint_sign", f"{turns}, not its torque", replace(turned, torque=flip), 0.3),
+        ):
+            yield Alternative(premise, (j,), {}, f"{what}: with {{}}", correction, cost)
+    what = "All torques have the opposite sign (those of the surroundings on the arm): with {}"
+    yield Alternative("torque_sign", (), {}, what, torques(-np.eye(n)))
 
 
 def zeros(screen: Screen) -> Iterator[Alternative]:
@@ -150,13 +137,9 @@ def zeros(screen: Screen) -> Iterator[Alternative]:
         x = float((x + np.pi) % (2.0 * np.pi) - np.pi)
         if abs(x) < LEAST_ZERO:
             continue
-        option = "--joint-zero " + " ".join(f"{x:.4g}" if i == j else "0" for i in range(n))
-        yield Alternative(
-            "joint_zero", (j,), {"rad": round(x, 4)},
-            f"The zero of joint {j + 1} is {abs(np.degrees(x)):.0f}° from the model's: with "
-            f"{option}",
-            option, zero_of(n, j, x), cost=0.5, small=abs(x) < SMALL_ZERO,
-        )  # fmt: skip
+        what = f"The zero of joint {j + 1} is {abs(np.degrees(x)):.0f}° from the model's: with {{}}"
+        made, small = zero_of(n, j, x), abs(x) < SMALL_ZERO
+        yield Alternative("joint_zero", (j,), {"rad": round(x, 4)}, what, made, 0.5, small)
 
 
 def zero_of(n: int, joint: int, x: float) -> Correction:
@@ -174,14 +157,11 @@ def couplings(screen: Screen) -> Iterator[Alternative]:
             for sign in (-1.0, 1.0):
                 matrix = np.eye(n)
                 matrix[i, j] = sign
-                option = f"--joint-coupling {i + 1}{'+' if sign > 0 else '-'}{j + 1}"
                 yield Alternative(
                     "joint_coupling", (j, i), {"matrix": matrix.astype(int).tolist()},
                     f"Position {i + 1} of the recording is that of the motor, which joint {j + 1} "
-                    f"moves too: with {option}",
-                    option,
-                    replace(Correction.none(n), position=matrix),
-                    cost=0.5,
+                    "moves too: with {}",
+                    replace(Correction.none(n), position=matrix), cost=0.5,
                 )  # fmt: skip
 
 
@@ -192,19 +172,17 @@ def degrees(screen: Screen) -> Iterator[Alternative]:
     far = (largest > TURN) & (np.radians(largest) < TURN)
     some = [f"q{j + 1}" for j in np.flatnonzero(far)]
     edit = f"convert {', '.join(some)} (dq and ddq of these joints alike) to rad"
-    for joints, which, remedy in (
-        (turning, "The positions", "--units deg"),
-        (far, f"The positions {', '.join(some)} alone", edit),
+    for joints, which, what, remedy in (
+        (turning, "", "with {}", "--units deg"),
+        (far, f" {', '.join(some)} alone", "{}; then", edit),
     ):
         if far.any():
             factor = np.diag(np.where(joints, np.pi / 180.0, 1.0))
             concerned = tuple(np.flatnonzero(joints)[:3].tolist()) if joints is far else ()
             yield Alternative(
                 "position_unit", concerned, {"factor": round(np.pi / 180.0, 8), "unit": "deg"},
-                f"{which} are in degrees, not in rad: with {remedy}" if joints is turning
-                else f"{which} are in degrees, not in rad: {remedy}; then",
-                remedy,
-                replace(Correction.none(screen.n), position=factor, torque=factor),
+                f"The positions{which} are in degrees, not in rad: {what}",
+                replace(Correction.none(screen.n), position=factor, torque=factor), remedy=remedy,
             )  # fmt: skip
 
 

@@ -50,7 +50,7 @@ def alternatives(screen: Screen) -> Iterator[Alternative]:
     turn = np.degrees(np.arccos(np.clip(best @ start, -1.0, 1.0)))
     if turn < LEAST_TURN:
         return
-    option = " ".join(f"{x:z.4g}" for x in rpy)
+    what = "The arm is mounted {} in this recording: with the base turned by {{}}"
     yield Alternative(
         "gravity_direction",
         (),
@@ -58,12 +58,11 @@ def alternatives(screen: Screen) -> Iterator[Alternative]:
             "gravity": [round(x, 4) for x in gravity.tolist()],
             "base_rpy": [round(x, 4) for x in rpy],
         },
-        f"The arm is mounted {_words(rpy, float(turn))} in this recording: with the base turned by "
-        f"--base-rpy {option}",
-        f"--base-rpy {option}",
+        what.format(_words(rpy, float(turn))),
         turned(none, gravity),
         cost=0.5,
         small=bool(turn < SMALL_TURN),
+        again=what.format("otherwise than stated"),
     )
 
 

@@ -34,11 +34,12 @@ class Alternative:
     premise: str
     joints: tuple[int, ...]  # from 0, at most three, that it concerns
     value: Mapping[str, Any]  # for JSON
-    what: str  # a clause that states it
-    remedy: str  # the option or edit that corrects it
+    what: str  # a clause that states it; {} is its remedy
     correction: Correction
     cost: float = 0.0  # decrease of the score that its free values are worth
     small: bool = False  # whether its value is within the range of an effect of the library
+    remedy: str = ""  # the edit that corrects it, where that is not the options of the correction
+    again: str = ""  # the clause if it was found in several steps
 
 
 @dataclass(frozen=True, eq=False)

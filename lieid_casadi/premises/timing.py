@@ -58,12 +58,8 @@ def delays(screen: Screen) -> Iterator[Alternative]:
     words = "late" if late > 0.0 else "early"
     yield Alternative(
         "time_offset", (), {"seconds": round(late, 4)},
-        f"The torque is {abs(1e3 * late):.0f} ms {words} against the positions: with "
-        f"--time-offset {late:.4g}",
-        f"--time-offset {late:.4g}",
-        replace(Correction.none(n), late=late),
-        cost=0.3,
-        small=abs(late) < SMALL_DELAY,
+        f"The torque is {abs(1e3 * late):.0f} ms {words} against the positions: with {{}}",
+        replace(Correction.none(n), late=late), cost=0.3, small=abs(late) < SMALL_DELAY,
     )  # fmt: skip
 
 
@@ -162,10 +158,9 @@ def velocity(s: Samples) -> Alternative | None:
     names = ", ".join(str(j + 1) for j in joints[:3])
     return Alternative(
         "velocity_signal", tuple(joints[:3].tolist()), {"seconds": round(seconds, 4)},
-        f"The recorded velocity of joint{'s' if len(joints) > 1 else ''} {names} {what}: with "
-        "--derive-velocity (velocities from the positions)",
-        "--derive-velocity",
-        Correction.none(s.n),
+        f"The recorded velocity of joint{'s' if len(joints) > 1 else ''} {names} {what}: with {{}} "
+        "(velocities from the positions)",
+        Correction.none(s.n), remedy="--derive-velocity",
     )  # fmt: skip
 
 

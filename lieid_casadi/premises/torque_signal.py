@@ -40,9 +40,9 @@ def gravity_compensated(screen: Screen) -> Iterator[Alternative]:
             "torque_gravity_compensated", (), {},
             "The torque of this recording does not contain gravity: the controller compensates it; "
             f"{with_what}",
-            "record the whole torque of the joints (motor torque or current, not the torque that "
-            "the controller adds to its gravity compensation)",
             correction, cost,
+            remedy="record the whole torque of the joints (motor torque or current, not the torque "
+            "that the controller adds to its gravity compensation)",
         )  # fmt: skip
 
 
@@ -73,8 +73,6 @@ def units(screen: Screen) -> Iterator[Alternative]:
     else:
         factor, unit = 1.0 / middle, "A"
     constants = ",".join(f"{1.0 / g:.4g}" for g in gains)
-    current = ",".join(f"i{j + 1}=tau{j + 1}" for j in range(screen.n))
-    remedy = f"--columns {current} --torque-constants {constants}"
     words = "in other units, such as amperes" if unit == "A" else f"in {unit}"
     words += ", or a current in mA" if unit == "N·cm" else ""
     yield Alternative(
@@ -82,8 +80,7 @@ def units(screen: Screen) -> Iterator[Alternative]:
         tuple(np.argsort(-stated.own)[:3].tolist()),
         {"factor": float(f"{factor:.4g}"), "unit": unit},
         f"The torque is not in N·m but {words}: the stated masses need {factor:.3g} times the "
-        f"recorded torque (joint by joint {constants}); with {remedy}",
-        remedy,
+        f"recorded torque (joint by joint {constants}); with {{}}",
         torques(np.diag(1.0 / gains)),
         cost=1.0,
     )

@@ -11,15 +11,11 @@ from scipy.interpolate import CubicSpline
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import StatedMassWarning
-from lieid_casadi.premises.correction import (
-    base_rpy,
-    correction_of,
-    gravity_of,
-    with_all_remedies,
-)
-from lieid_casadi.premises.findings import Finding
+from lieid_casadi.premises.correction import base_rpy, correction_of, gravity_of
 from lieid_casadi.premises.plain_fit import samples_of
+from lieid_casadi.premises.remedies import Wrong, findings_of
 from lieid_casadi.premises.rigid_columns import RigidArm
+from lieid_casadi.premises.screen import Alternative
 from lieid_casadi.robot.geometry import pose
 
 RANDOM = np.random.default_rng(3)
@@ -81,6 +77,14 @@ def test_recordings_and_samples_are_corrected_alike():
         np.testing.assert_allclose(getattr(samples, name)[inside], expected, atol=tolerance)
 
 
+def wrong(premise, option, value=None):
+    """What is wrong, in three joints whose errors fall to half, and the option that corrects it."""
+    what, again = (f"{text} with {{}}" for text in ("Found", "In another order"))
+    correction = correction_of([option], 3)
+    alternative = Alternative(premise, (), value or {}, what, correction, again=again)
+    return Wrong(alternative, np.ones(3), np.full(3, 0.5), np.full(3, 0.5))
+
+
 @pytest.mark.parametrize(
     "texts",
     [
@@ -95,11 +99,8 @@ def test_recordings_and_samples_are_corrected_alike():
 )
 def test_remedies_of_findings_one_after_the_other_hold_together(texts):
     given = recording()
-    found = [
-        (Finding(f"{k}", (), {}, f"with {text}.", text), correction_of([text], 3))
-        for k, text in enumerate(texts)
-    ]
-    made = with_all_remedies(found, 3)
+    found = [wrong(f"{k}", text) for k, text in enumerate(texts)]
+    made = findings_of(found, given)
     words = " ".join(finding.remedy for finding in made).split("--")[1:]
     together = correction_of({f"--{word.strip()}" for word in words}, 3).of_recording(given)
     for text in texts:
@@ -117,16 +118,16 @@ def test_an_order_found_in_two_steps_is_one_finding_and_what_is_taken_back_is_no
         "--joint-sign -1 1 1",
     )
     found = [
-        (Finding(text.split()[0], (), {"signals": "all"} if "order" in text else {},
-                 f"The recording has its joints 1 and 2 exchanged: with {text}.", text),
-         correction_of([text], 3))
+        wrong(text.split()[0], text, {"signals": "all", "order": []} if "order" in text else {})
         for text in texts
-    ]  # fmt: skip
-    (made,) = with_all_remedies(found, 3)
+    ]
+    (made,) = findings_of(found, recording())
     assert made.remedy == "--joint-order 3 1 2"
     assert made.value["order"] == [3, 1, 2]
-    assert (
-        made.sentence == "The recording has its joints in another order: with --joint-order 3 1 2."
+    assert made.joints == (0, 1, 2)
+    assert made.sentence == (
+        "In another order with --joint-order 3 1 2 the error of joints 1–3 falls from 1 1 1 to "
+        "0.5 0.5 0.5 N·m."
     )
 
 
