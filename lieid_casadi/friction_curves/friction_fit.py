@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -289,26 +289,22 @@ def _covariance(matrix: Array, residual: Array) -> tuple[Array, tuple[Array, ...
     return covariance, tuple(direction / scale for direction in solution.unexcited)
 
 
-def _bounds(fit: FrictionFit) -> list[LieidWarning]:
+def _bounds(fit: FrictionFit) -> Iterator[LieidWarning]:
     """Warn of parameters at their bounds."""
     at_bound = ShapeRange.of(fit.model.shapes).at_bound(fit.shapes)
-    found: list[LieidWarning] = [
-        BoundWarning(
-            f"{shape.label} is at its bound {value:.3g} {shape.unit} (range "
-            f"{shape.lower:g} to {shape.upper:g}); the curve shows little of this effect"
-        )
-        for shape, value, at_end in zip(fit.model.shapes, fit.shapes, at_bound, strict=True)
-        if at_end
-    ]
+    for shape, value, at_end in zip(fit.model.shapes, fit.shapes, at_bound, strict=True):
+        if at_end:
+            yield BoundWarning(
+                f"{shape.label} is at its bound {value:.3g} {shape.unit} (range "
+                f"{shape.lower:g} to {shape.upper:g}); the curve shows little of this effect"
+            )
     for column, value in zip(fit.model.columns, fit.coefficients, strict=True):
         if np.isclose(value, column.lower) or np.isclose(value, column.upper):
-            found.append(BoundWarning(f"{column.label} is at its bound {value:.3g} {column.unit}"))
-    return found
+            yield BoundWarning(f"{column.label} is at its bound {value:.3g} {column.unit}")
 
 
-def _not_identifiable(fit: FrictionFit, hidden: Sequence[Array]) -> list[LieidWarning]:
+def _not_identifiable(fit: FrictionFit, hidden: Sequence[Array]) -> Iterator[LieidWarning]:
     """Warn of parameters that the curve does not determine, or less than by their value."""
-    found: list[LieidWarning] = []
     for direction in hidden:
         part = np.abs(direction) / np.abs(direction).max()
         names = [p.label for p, x in zip(fit.parameters, part, strict=True) if x > NAMED]
@@ -317,34 +313,28 @@ def _not_identifiable(fit: FrictionFit, hidden: Sequence[Array]) -> list[LieidWa
             if len(names) == 1
             else f"{', '.join(names)} cannot be separated"
         )
-        found.append(UnidentifiableWarning(f"{what} by this curve"))
+        yield UnidentifiableWarning(f"{what} by this curve")
     values = np.concatenate([fit.coefficients, fit.shapes])
     uncertain = np.isfinite(fit.std) & (fit.std > np.abs(values))
     names = [p.label for p, x in zip(fit.parameters, uncertain, strict=True) if x]
     if names:
-        found.append(
-            UnidentifiableWarning(
-                f"{', '.join(names)}: the standard deviation exceeds the value; use a model with "
-                "fewer parameters, or record more speeds and loads"
-            )
+        yield UnidentifiableWarning(
+            f"{', '.join(names)}: the standard deviation exceeds the value; use a model with "
+            "fewer parameters, or record more speeds and loads"
         )
-    return found
 
 
-def _negative(fit: FrictionFit) -> list[LieidWarning]:
+def _negative(fit: FrictionFit) -> Iterator[LieidWarning]:
     """Warn of friction that drives the joint at some measured speed and load."""
     curve = fit.curve
     slowest, fastest = float(curve.speed.min()), float(curve.speed.max())
     speeds = np.tile(np.geomspace(slowest, fastest, POINTS), 2)
     loads = np.repeat([curve.load.min(), curve.load.max()], POINTS)
-    if np.all(fit.friction(speeds, load=loads) >= 0.0):
-        return []
-    return [
-        NotDissipativeWarning(
+    if np.any(fit.friction(speeds, load=loads) < 0.0):
+        yield NotDissipativeWarning(
             f"joint {curve.joint + 1}: the fitted friction is negative, that is, it drives the "
             f"joint, at some speed from {slowest:.3g} to {fastest:.3g} rad/s"
         )
-    ]
 
 
 def friction(

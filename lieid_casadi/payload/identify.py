@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -146,32 +146,26 @@ def _changed_friction(
 
 def _payload_warnings(
     fit: Fit, result: PayloadEstimate, estimate: LoadedRunEstimate, residuals: Array
-) -> list[LieidWarning]:
+) -> Iterator[LieidWarning]:
     """Warn of a negative mass, no convergence, large residuals (n,) with the fit's friction."""
-    found: list[LieidWarning] = []
     if result.mass < 0.0:
         significant = result.mass < -INSIGNIFICANT * result.mass_std
-        found.append(
-            NegativeMassWarning(
-                f"mass {with_std(result.mass, result.mass_std)} kg is negative"
-                f"{'' if significant else ', but not significantly'}"
-            )
+        yield NegativeMassWarning(
+            f"mass {with_std(result.mass, result.mass_std)} kg is negative"
+            f"{'' if significant else ', but not significantly'}"
         )
     own = np.maximum(np.where(np.isfinite(fit.rms_cv), fit.rms_cv, fit.noise), 1e-9)
     for j, residual in enumerate(residuals):
         if np.isfinite(result.rms_after[j]) and residual > MISFIT * own[j]:
-            found.append(
-                PayloadMisfitWarning(
-                    f"joint {j + 1}: the residual with the payload and the friction of the fit is "
-                    f"{residual:.3g} N·m, "
-                    f"{residual / own[j]:.1f} times the fit's own error; the payload is less "
-                    "accurate than its standard deviations state (lieid diagnose FIT REC finds "
-                    "what else has changed)"
-                )
+            yield PayloadMisfitWarning(
+                f"joint {j + 1}: the residual with the payload and the friction of the fit is "
+                f"{residual:.3g} N·m, "
+                f"{residual / own[j]:.1f} times the fit's own error; the payload is less "
+                "accurate than its standard deviations state (lieid diagnose FIT REC finds "
+                "what else has changed)"
             )
     if not estimate.converged:
-        found.append(ConvergenceWarning("the iteration of load and payload did not converge"))
-    return found
+        yield ConvergenceWarning("the iteration of load and payload did not converge")
 
 
 ROUNDING = 1e-10  # least variance relative to the sum of its terms before cancellation

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
@@ -41,27 +41,24 @@ def _repair(warning: LieidWarning) -> Finding | None:
     return Finding(premise, joints, {"samples": warning.samples}, f"{warning}.", remedy)
 
 
-def _held(recording: Recording) -> list[Finding]:
-    """Return positions that repeat although the arm moves before and after."""
+def _held(recording: Recording) -> Iterator[Finding]:
+    """Yield positions that repeat although the arm moves before and after."""
     q = np.asarray(recording.q)
     width = max(3, int(WITHIN * recording.rate))
     if len(q) < 4 * width:
-        return []
+        return
     reach = maximum_filter1d(q, width, axis=0) - minimum_filter1d(q, width, axis=0)
     moving = np.any(reach > MOVES, axis=1)[1:]
     held = np.all(np.diff(q, axis=0) == 0.0, axis=1) & moving
     count, rows = int(held.sum()), int(moving.sum())
-    if count < max(HELD * rows, FEWEST_HELD):
-        return []
-    rate = recording.rate * (1.0 - count / rows)
-    return [
-        Finding(
+    if count >= max(HELD * rows, FEWEST_HELD):
+        rate = recording.rate * (1.0 - count / rows)
+        yield Finding(
             "held_samples", (), {"samples": count},
             f"{recording.title}: {count} rows repeat the positions of the row before although the "
             f"arm moves: the positions have a rate of about {rate:.3g} Hz.",
             "record at the rate of the positions, or leave the repeated rows out",
-        )
-    ]  # fmt: skip
+        )  # fmt: skip
 
 
 def without_frozen_torque(recording: Recording) -> tuple[Recording, list[Finding]]:
@@ -104,22 +101,20 @@ def constant_torque(recordings: Sequence[Recording]) -> Finding | None:
     )
 
 
-def _clipped(recording: Recording) -> list[Finding]:
-    """Return torques that stay at their largest value while the joint moves."""
+def _clipped(recording: Recording) -> Iterator[Finding]:
+    """Yield torques that stay at their largest value while the joint moves."""
     assert recording.tau is not None
     clipped = clipped_joints(recording)
     if not clipped.any():
-        return []
+        return
     tau = np.abs(np.asarray(recording.tau))
     level = tau.max(axis=0)
     counts = np.sum(tau >= 0.999 * level, axis=0)
     joints, count = np.flatnonzero(clipped), int(counts[clipped].sum())
     levels = ", ".join(f"{level[j]:.3g}" for j in joints)
-    return [
-        Finding(
-            "clipped", tuple(int(j) for j in joints[:3]), {"samples": count},
-            f"{recording.title}: the torque of {joints_text(clipped)} stays at its largest value "
-            f"({levels} N·m) in {count} samples.",
-            "move with less acceleration or load, or leave these samples out",
-        )
-    ]  # fmt: skip
+    yield Finding(
+        "clipped", tuple(int(j) for j in joints[:3]), {"samples": count},
+        f"{recording.title}: the torque of {joints_text(clipped)} stays at its largest value "
+        f"({levels} N·m) in {count} samples.",
+        "move with less acceleration or load, or leave these samples out",
+    )  # fmt: skip

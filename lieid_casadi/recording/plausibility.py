@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,9 +100,8 @@ def check_units(recording: Recording, robot: Robot | None) -> list[errors.LieidW
 CLUSTERED = 2.0
 
 
-def check_time(recording: Recording) -> list[errors.LieidWarning]:
+def check_time(recording: Recording) -> Iterator[errors.LieidWarning]:
     """Report lost samples, gaps that split the recording into segments, and clustered stamps."""
-    found: list[errors.LieidWarning] = []
     steps, period = np.diff(recording.t), sample_timing.sample_period(recording.t)
     steps[np.isin(recording.t[:-1], recording.pauses)] = 0.0
     lost = steps > sample_timing.dropout_limit(recording.t)
@@ -109,23 +109,18 @@ def check_time(recording: Recording) -> list[errors.LieidWarning]:
         first = recording.t[int(np.argmax(lost))]
         gaps = int(np.sum(steps > sample_timing.gap_limit(recording.t)))
         split = f"; split into {gaps + 1} segments at the gaps" if gaps else "; interpolated"
-        found.append(
-            errors.DropoutWarning(
-                f"{recording.title}: {int(lost.sum())} dropouts, the longest "
-                f"{steps.max():.3g} s at a sample period of {period:.3g} s, "
-                f"the first at t = {first:.6g} s{split}"
-            )
+        yield errors.DropoutWarning(
+            f"{recording.title}: {int(lost.sum())} dropouts, the longest "
+            f"{steps.max():.3g} s at a sample period of {period:.3g} s, "
+            f"the first at t = {first:.6g} s{split}"
         )
     mean = 1.0 / sample_timing.mean_rate(recording.t)
     if mean >= CLUSTERED * period:
-        found.append(
-            errors.IrregularTimeWarning(
-                f"{recording.title}: the stamps come in clusters (median step {period:.3g} s, mean "
-                f"step {mean:.3g} s): these look like times of arrival; record the time of each "
-                "measurement, or velocities and accelerations are wrong"
-            )
+        yield errors.IrregularTimeWarning(
+            f"{recording.title}: the stamps come in clusters (median step {period:.3g} s, mean "
+            f"step {mean:.3g} s): these look like times of arrival; record the time of each "
+            "measurement, or velocities and accelerations are wrong"
         )
-    return found
 
 
 DEGREES = 180.0 / np.pi
@@ -209,49 +204,41 @@ def require_velocity_units(recording: Recording) -> None:
             )
 
 
-def check_still(recording: Recording, robot: Robot | None) -> list[errors.LieidWarning]:
+def check_still(recording: Recording, robot: Robot | None) -> Iterator[errors.LieidWarning]:
     """Name the joints that never move."""
     limits = np.full(recording.n, STILL)
     if robot is not None:
         limits = np.array([STILL if joint.revolute else 0.1 * STILL for joint in robot.joints])
     still = np.ptp(recording.q, axis=0) < limits
-    if not still.any():
-        return []
-    return [
-        errors.JointStillWarning(
+    if still.any():
+        yield errors.JointStillWarning(
             f"{recording.title}: {joints_text(still)} never moved: friction and inertia of a "
             "joint at rest are not identifiable"
         )
-    ]
 
 
-def check_rate(recording: Recording) -> list[errors.LieidWarning]:
+def check_rate(recording: Recording) -> Iterator[errors.LieidWarning]:
     """Report motion near the Nyquist frequency."""
     band = motion_band(recording)
-    if band is None or band < 0.1 * recording.rate:
-        return []
-    return [
-        errors.LowRateWarning(
+    if band is not None and band >= 0.1 * recording.rate:
+        yield errors.LowRateWarning(
             f"{recording.title}: {recording.rate:.3g} Hz is a low rate for motion "
             f"up to {band:.3g} Hz, expected {10.0 * band:.3g} Hz or more: accelerations are "
             "underestimated"
         )
-    ]
 
 
-def check_torque(recording: Recording, robot: Robot | None) -> list[errors.LieidWarning]:
+def check_torque(recording: Recording, robot: Robot | None) -> Iterator[errors.LieidWarning]:
     """Report torques that are constant, clipped or beyond the robot's limits."""
     if recording.tau is None:
-        return []
-    title, found = recording.title, list[errors.LieidWarning]()
+        return
+    title = recording.title
     constant = np.ptp(recording.tau, axis=0) == 0.0
     if constant.any():
         values = ", ".join(f"{value:g}" for value in np.unique(recording.tau[0, constant])[:4])
-        found.append(
-            errors.ConstantTorqueWarning(
-                f"{title}: torque of {joints_text(constant)} is {values} N·m in every row: was it "
-                "recorded? The parameters of these joints are not identifiable from it"
-            )
+        yield errors.ConstantTorqueWarning(
+            f"{title}: torque of {joints_text(constant)} is {values} N·m in every row: was it "
+            "recorded? The parameters of these joints are not identifiable from it"
         )
     magnitude = np.abs(recording.tau)
     at_limit = np.zeros(recording.n, dtype=bool)
@@ -261,19 +248,14 @@ def check_torque(recording: Recording, robot: Robot | None) -> list[errors.Lieid
     clipped = clipped_joints(recording) & ~at_limit
     if clipped.any():
         level = float(magnitude[:, clipped].max(axis=0)[0])
-        found.append(
-            errors.TorqueClippedWarning(
-                f"{title}: torque of {joints_text(clipped)} stays at its largest value "
-                f"({level:.4g}): it seems to be clipped"
-            )
+        yield errors.TorqueClippedWarning(
+            f"{title}: torque of {joints_text(clipped)} stays at its largest value "
+            f"({level:.4g}): it seems to be clipped"
         )
     if at_limit.any():
-        found.append(
-            errors.TorqueClippedWarning(
-                f"{title}: torque of {joints_text(at_limit)} reaches the robot's torque limit"
-            )
+        yield errors.TorqueClippedWarning(
+            f"{title}: torque of {joints_text(at_limit)} reaches the robot's torque limit"
         )
-    return found
 
 
 def clipped_joints(recording: Recording) -> Mask:

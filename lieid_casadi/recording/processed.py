@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -268,23 +268,19 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
     return replace(made, warnings=(*made.warnings, *_protected(made)))
 
 
-def _protected(segment: Processed) -> list[LieidWarning]:
-    """Return a warning for each joint whose servo lowered its torque by overload protection."""
-    found: list[LieidWarning] = []
+def _protected(segment: Processed) -> Iterator[LieidWarning]:
+    """Yield a warning for each joint whose servo lowered its torque by overload protection."""
     for j, acts in enumerate(~segment.by_law.T):
         ends = np.flatnonzero(np.diff(acts, prepend=False, append=False)).reshape(-1, 2)
         if len(ends):
             law = (segment.recording.drives or ())[j]
             times = ", ".join(f"{segment.t[a]:.4g} to {segment.t[b - 1]:.4g} s" for a, b in ends)
-            found.append(
-                DriveProtectionWarning(
-                    f"{segment.recording.title}: overload protection of joint {j + 1} (more than "
-                    f"{law.overload:.3g} N·m for {law.overload_time:g} s) limits its torque to "
-                    f"{law.protective_limit:.3g} N·m: {times}; left out of fits of the joint. "
-                    "A simulation has the full torque there"
-                )
+            yield DriveProtectionWarning(
+                f"{segment.recording.title}: overload protection of joint {j + 1} (more than "
+                f"{law.overload:.3g} N·m for {law.overload_time:g} s) limits its torque to "
+                f"{law.protective_limit:.3g} N·m: {times}; left out of fits of the joint. "
+                "A simulation has the full torque there"
             )
-    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -257,9 +257,8 @@ def _rigid_with(model: Any, body: int, chain: Sequence[int]) -> list[int]:
     return found
 
 
-def _locked(model: Any, path: str | Path, chain: Sequence[int]) -> list[LieidWarning]:
-    """Return a warning for each link of the chain that carries locked branches."""
-    found: list[LieidWarning] = []
+def _locked(model: Any, path: str | Path, chain: Sequence[int]) -> Iterator[LieidWarning]:
+    """Yield a warning for each link of the chain that carries locked branches."""
     for body in chain:
         branches = [b for b in _rigid_with(model, body, chain)[1:] if model.body_jntnum[b]]
         if not branches:
@@ -267,13 +266,10 @@ def _locked(model: Any, path: str | Path, chain: Sequence[int]) -> list[LieidWar
         joints = [model.joint(k).name for b in branches for k in _own_joints(model, b)]
         mass = sum(float(model.body_mass[b]) for b in branches)
         at = "the first keyframe" if model.nkey else "their pose qpos0"
-        found.append(
-            LockedBranchWarning(
-                f"{path}: joints {names_text(joints)} are locked at {at}; their bodies, {mass:.3g} "
-                f"kg, are part of {model.body(body).name!r}"
-            )
+        yield LockedBranchWarning(
+            f"{path}: joints {names_text(joints)} are locked at {at}; their bodies, {mass:.3g} "
+            f"kg, are part of {model.body(body).name!r}"
         )
-    return found
 
 
 def _not_read(model: Any, path: str | Path, chain: Sequence[int]) -> list[LieidWarning]:

@@ -66,32 +66,26 @@ def _xml(text: str, origin: str) -> ElementTree.Element:
     return root
 
 
-def _mimic_warnings(joints: Sequence[UrdfJoint], origin: str) -> list[LieidWarning]:
-    """Return warnings of joints that follow others; in the chain they are refused before."""
-    return [
-        MimicJointWarning(
-            f"{origin}: joint {joint.name!r} mimics {joint.mimics!r}, which is not modelled: it is "
-            "kept at zero"
-        )
-        for joint in joints
-        if joint.mimics and joint.movable
-    ]
+def _mimic_warnings(joints: Sequence[UrdfJoint], origin: str) -> Iterator[LieidWarning]:
+    """Yield warnings of joints that follow others; in the chain they are refused before."""
+    for joint in joints:
+        if joint.mimics and joint.movable:
+            yield MimicJointWarning(
+                f"{origin}: joint {joint.name!r} mimics {joint.mimics!r}, which is not modelled: "
+                "it is kept at zero"
+            )
 
 
-def _inertia_warnings(links: Sequence[UrdfLink], origin: str) -> list[LieidWarning]:
-    warnings: list[LieidWarning] = []
+def _inertia_warnings(links: Sequence[UrdfLink], origin: str) -> Iterator[LieidWarning]:
     for link in links:
         xx, xy, xz, yy, yz, zz = link.inertia
         central = [0.0, 0.0, 0.0, 0.0, xx, xy, yy, xz, yz, zz]
         fault = impossible_moments(central)
         if fault is not None:
-            warnings.append(
-                NominalInertiaWarning(
-                    f"{origin}: link {link.name!r}: its inertia has {fault} which is physically "
-                    "impossible"
-                )
+            yield NominalInertiaWarning(
+                f"{origin}: link {link.name!r}: its inertia has {fault} which is physically "
+                "impossible"
             )
-    return warnings
 
 
 def _reduced_model(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, overload
 
@@ -309,7 +309,7 @@ def _whole(fit: Fit, run: Run) -> Array:
     return np.asarray(path[:, 0, : fit.model.n] - run.segment.q)
 
 
-def _not_simulated(fit: Fit) -> list[LieidWarning]:
+def _not_simulated(fit: Fit) -> Iterator[LieidWarning]:
     """Report effects by which links move differently from their motors."""
     simulated = {play.joint for play in plays_of(fit)}
     reasons = {
@@ -317,14 +317,12 @@ def _not_simulated(fit: Fit) -> list[LieidWarning]:
         Backlash: f"it needs a play of up to {LARGEST:g} rad and the motor's inertia "
         "(effect armature)",
     }
-    found: list[LieidWarning] = []
     for kind, why in reasons.items():
         own = [p for p in fit.model.placements if isinstance(p.effect, kind)]
         labels = [p.label for p in own if kind is JointElasticity or p.joint not in simulated]
         if labels:
             text = f"{', '.join(labels)}: not part of the simulation; {why}"
-            found.append(NotSimulatedWarning(text))
-    return found
+            yield NotSimulatedWarning(text)
 
 
 def _nominal_drift(fit: Fit, runs: Sequence[Run]) -> Drift | None:
