@@ -27,10 +27,11 @@ from lieid_casadi.exporters.simulator_joints import (
     passive_torques,
     vector,
 )
-from lieid_casadi.exporters.urdf import RigidMember, split
+from lieid_casadi.exporters.urdf import split
 from lieid_casadi.exporters.xml_text import Element, XmlText
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot.description import RobotSource
+from lieid_casadi.robot.urdf import RigidMember
 
 TIMESTEP = 0.002  # s, MuJoCo's default
 ACTUATORS = frozenset(

@@ -29,7 +29,7 @@ from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axe
 from lieid_casadi.messages import joints_text
 from lieid_casadi.robot import Joint, inertia
 from lieid_casadi.robot.description import STANDARD_GRAVITY
-from lieid_casadi.robot.geometry import pose
+from lieid_casadi.robot.urdf import RigidMember, rigid_members
 
 SHARE = 0.5  # of the largest possible share, if the rigidly attached links cannot keep all
 KEPT = 0.95  # below this fraction of the possible inertia they keep all
@@ -115,15 +115,6 @@ def urdf_text(fit: Fit, into: str | Path | None) -> tuple[str, list[str]]:
 
 
 @dataclass(frozen=True, eq=False)
-class RigidMember:
-    """A link that is rigidly attached to a joint's child link: frame (4, 4) there, parameters."""
-
-    name: str
-    placement: Array
-    nominal: Array
-
-
-@dataclass(frozen=True, eq=False)
 class InertiaSplit:
     """Link parameters of a joint's child link (10,), and the share that each member keeps."""
 
@@ -154,58 +145,6 @@ def named(root: Element, tag: str) -> dict[str, Element]:
     return {e.attributes.get("name", ""): e for e in root.children if e.tag == tag}
 
 
-def rigid_members(root: Element, fit: Fit) -> list[list[RigidMember]]:
-    """Return the links that are rigidly attached to each moving link of a fit."""
-    chain = {joint.name for joint in fit.model.robot.joints}
-    rigid = [element for name, element in named(root, "joint").items() if name not in chain]
-    links = named(root, "link")
-    return [_members_of(links, rigid, joint.link_name) for joint in fit.model.robot.joints]
-
-
-def _members_of(
-    links: dict[str, Element], joints: Sequence[Element], child: str
-) -> list[RigidMember]:
-    """Return the links attached to a child link by joints outside the chain, held at zero."""
-    found: list[RigidMember] = []
-    places = {child: np.eye(4)}
-    waiting = [child]
-    while waiting:
-        parent = waiting.pop()
-        for joint in joints:
-            if _link_of(joint, "parent") != parent:
-                continue
-            name = _link_of(joint, "child")
-            places[name] = places[parent] @ origin_of(joint)
-            found.append(RigidMember(name, places[name], stated_parameters(links[name])))
-            waiting.append(name)
-    return found
-
-
-def stated_parameters(link: Element) -> Array:
-    """Return the link parameters (10,) that a <link> states, zeros if none."""
-    inertial = link.find("inertial")
-    mass = None if inertial is None else inertial.find("mass")
-    if inertial is None or mass is None:
-        return np.zeros(10)
-    place = origin_of(inertial)
-    stated = inertial.find("inertia")
-    keys = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
-    six = [0.0 if stated is None else float(stated.attributes.get(key, "0")) for key in keys]
-    turned = place[:3, :3] @ inertia.symmetric(six) @ place[:3, :3].T
-    return inertia.link_parameters(float(mass.attributes.get("value", "0")), place[:3, 3], turned)
-
-
-def origin_of(element: Element) -> Array:
-    """Return the pose (4, 4) of an element's <origin>."""
-    origin = element.find("origin")
-    if origin is None:
-        return np.eye(4)
-    return pose(
-        [float(x) for x in origin.attributes.get("xyz", "0 0 0").split()],
-        [float(x) for x in origin.attributes.get("rpy", "0 0 0").split()],
-    )
-
-
 def inertial_text(parameters: Array) -> str:
     """Return an <inertial> element of link parameters (10,), with all their digits."""
     body = inertia.body_inertia(parameters)
@@ -221,11 +160,6 @@ def inertial_text(parameters: Array) -> str:
     )
 
 
-def _link_of(joint: Element, tag: str) -> str:
-    end = joint.find(tag)
-    return "" if end is None else end.attributes.get("link", "")
-
-
 def edited_urdf(fit: Fit, text: str, friction: Sequence[LinearFriction]) -> tuple[str, list[str]]:
     """Return a URDF with link inertias and, where given, the joints' friction, and notes.
 
@@ -234,7 +168,7 @@ def edited_urdf(fit: Fit, text: str, friction: Sequence[LinearFriction]) -> tupl
     """
     document, notes = XmlText(text), []
     links, joints = (named(document.root, tag) for tag in ("link", "joint"))
-    bodies, rigid = fit.link_parameters.reshape(-1, 10), rigid_members(document.root, fit)
+    bodies, rigid = fit.link_parameters.reshape(-1, 10), rigid_members(text, fit.model.robot.joints)
     for j, joint in enumerate(fit.model.robot.joints):
         shared = split(bodies[j], rigid[j])
         document.replace_child(links[joint.link_name], "inertial", inertial_text(shared.own))

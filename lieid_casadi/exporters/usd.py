@@ -19,10 +19,10 @@ from lieid_casadi.exporters.simulator_joints import (
     check_possible,
     left_out,
 )
-from lieid_casadi.exporters.urdf import RigidMember, check_gravity, rigid_members, split
-from lieid_casadi.exporters.xml_text import XmlText
+from lieid_casadi.exporters.urdf import check_gravity, split
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot.inertia import body_inertia
+from lieid_casadi.robot.urdf import RigidMember, rigid_members
 
 AT_ORIGIN = 1e-6  # m: a joint's frame is the link's own
 
@@ -81,7 +81,7 @@ def _edit(stage: Any, fit: Fit, origin: str) -> list[str]:
     notes, source = list[str](), fit.model.robot.source
     rigid: list[list[RigidMember]] = [[] for _ in fit.model.robot.joints]
     if source is not None and source.kind == "urdf":
-        rigid = rigid_members(XmlText(source.text).root, fit)
+        rigid = rigid_members(source.text, fit.model.robot.joints)
     for j, joint in enumerate(fit.model.robot.joints):
         if joint.name not in joints:
             found = ", ".join(sorted(joints)) or "none"

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from threading import Lock
 from typing import Any
 from xml.etree import ElementTree
@@ -21,6 +22,7 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.messages import reason_of
 from lieid_casadi.robot.description import MOST_JOINTS, Joint, RobotDescription, RobotSource
+from lieid_casadi.robot.geometry import pose
 from lieid_casadi.robot.inertia import impossible_moments
 from lieid_casadi.robot.urdf_elements import INERTIA, UrdfJoint, UrdfLink, read_elements
 
@@ -275,6 +277,33 @@ def tip_link(joints: Sequence[UrdfJoint], chain: Sequence[UrdfJoint], tip: str |
         if len(following) != 1:
             return link
         link = following[0]
+
+
+@dataclass(frozen=True, eq=False)
+class RigidMember:
+    """A link that is rigidly attached to a joint's child link: frame (4, 4) there, parameters."""
+
+    name: str
+    placement: Array
+    nominal: Array
+
+
+def rigid_members(text: str, chain: Sequence[Joint]) -> list[list[RigidMember]]:
+    """Return the links attached to each link of a URDF's chain by joints that are held at zero."""
+    links, joints = read_elements(_xml(text, "URDF"), "URDF")
+    nominal = {link.name: link.parameters for link in links}
+    held = [j for j in joints if j.name not in {own.name for own in chain}]
+    found: list[list[RigidMember]] = []
+    for link in (own.link_name for own in chain):
+        members, waiting = list[RigidMember](), [(link, np.eye(4))]
+        while waiting:
+            parent, place = waiting.pop()
+            for joint in (j for j in held if j.parent == parent):
+                below = place @ pose(joint.xyz, joint.rpy)
+                members.append(RigidMember(joint.child, below, nominal[joint.child]))
+                waiting.append((joint.child, below))
+        found.append(members)
+    return found
 
 
 _lock = Lock()  # the descriptors belong to the process

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot.description import NOT_STATED, Limits
+from lieid_casadi.robot.geometry import pose
+from lieid_casadi.robot.inertia import link_parameters, symmetric
 
 Array = NDArray[np.float64]
 Element = ElementTree.Element
@@ -40,6 +42,14 @@ class UrdfLink:
     com_xyz: Array
     com_rpy: Array
     inertia: Array
+
+    @property
+    def parameters(self) -> Array:
+        """Link parameters (10,) about the origin of the link frame."""
+        xx, xy, xz, yy, yz, zz = self.inertia
+        place = pose(self.com_xyz, self.com_rpy)
+        turned = place[:3, :3] @ symmetric([xx, xy, yy, xz, yz, zz]) @ place[:3, :3].T
+        return link_parameters(self.mass, place[:3, 3], turned)
 
 
 @dataclass(frozen=True, eq=False)
