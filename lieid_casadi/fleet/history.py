@@ -195,7 +195,7 @@ class History(AbstractContextManager["History"]):
                 self.publish()
                 self.connection.close()
                 self._copy.unlink()
-            for file in (self._file, reading_name(self._file)) if unused else ():
+            for file in (self._file, copy_of(self._file, kind="read")) if unused else ():
                 file.unlink(missing_ok=True)
 
     def publish(self) -> None:
@@ -204,7 +204,7 @@ class History(AbstractContextManager["History"]):
         self.connection.execute("CHECKPOINT")
         copy_file(self._copy, self._file)
         _log_of(self._file).unlink(missing_ok=True)
-        link = reading_name(self._file)
+        link = copy_of(self._file, kind="read")  # the name in earlier versions
         if not link.is_symlink():
             link.unlink(missing_ok=True)
             with suppress(OSError):  # of file systems without links
@@ -291,15 +291,10 @@ class History(AbstractContextManager["History"]):
         ).fetchall()
 
 
-def copy_of(path: str | Path) -> Path:
-    """Return the path of the copy that is changed."""
+def copy_of(path: str | Path, *, kind: str = "run") -> Path:
+    """Return the path of the copy that is changed, or of the link to the file, ``read``."""
     file = Path(os.path.realpath(path))
-    return file.with_name(f"{file.stem}.run{file.suffix}")
-
-
-def reading_name(file: Path) -> Path:
-    """Return the name under which earlier versions kept a copy for readers: a link to the file."""
-    return file.with_name(f"{file.stem}.read{file.suffix}")
+    return file.with_name(f"{file.stem}.{kind}{file.suffix}")
 
 
 def left_beside(path: str | Path) -> Path:

@@ -9,7 +9,7 @@ from math import isfinite
 import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
-from nicegui.events import SceneClickEventArguments, ValueChangeEventArguments
+from nicegui.events import SceneClickEventArguments
 
 from lieid_casadi.workbench import elements
 from lieid_casadi.workbench.arm import ArmMesh, ArmMotion
@@ -44,7 +44,7 @@ class ArmScene:
             self._play = elements.icon_button("play_arrow", "play", "replay the motion")
             self._play.on_click(lambda: self.play(not self._timer.active))
             self._slider = ui.slider(
-                min=0.0, max=1.0, value=0.0, step=0.01, on_change=self._scrubbed
+                min=0.0, max=1.0, value=0.0, step=0.01, on_change=lambda: self.show()
             )
             elements.named(self._slider.classes("grow"), "scrubber")
             self._time = elements.named(ui.label(""), "instant").classes("number small muted")
@@ -98,7 +98,7 @@ class ArmScene:
     def show(self, time: float | None = None) -> None:
         """Show the pose at a time, or that of the slider."""
         if time is not None and time != self._slider.value:
-            self._slider.value = time  # calls `_scrubbed`
+            self._slider.value = time  # calls this again
             return
         time = float(self._slider.value or 0.0)
         self._time.text = f"{time:.2f} s"
@@ -117,9 +117,6 @@ class ArmScene:
         low, high = self._slider.props["min"], self._slider.props["max"]
         following = float(self._slider.value or 0.0) + FRAME
         self._slider.value = low if following > high else following
-
-    def _scrubbed(self, event: ValueChangeEventArguments[float | None]) -> None:
-        self.show()
 
     def _hit(self, event: SceneClickEventArguments) -> None:
         names = [hit.object_name for hit in event.hits if hit.object_name.startswith("joint")]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import io
+import shutil
 import tempfile
-import zipfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -193,9 +192,9 @@ class Computation:
             )
         report("export", 0.8)
         with tempfile.TemporaryDirectory(prefix="lieid-") as folder:
-            target = Path(folder) / kind
-            export(fit, target, to=kind)
-            return f"{fit.model.robot.name}_{kind}.zip", _zipped(target)
+            export(fit, Path(folder, kind), to=kind)
+            archive = shutil.make_archive(f"{folder}/files", "zip", folder, kind)
+            return f"{fit.model.robot.name}_{kind}.zip", Path(archive).read_bytes()
 
     def used(self, step: ModelStep, share: float = 1.0) -> tuple[list[Recording], list[Recording]]:
         """Return training and test recordings without what is excluded, or a share of them."""
@@ -316,15 +315,6 @@ def _spread(comparison: Comparison) -> Array:
     moving = np.concatenate([s.moving for s in comparison.series])
     values = [torque[use] for torque, use in zip(measured.T, moving.T, strict=True)]
     return np.array([part.std() if part.size else np.nan for part in values])
-
-
-def _zipped(folder: Path) -> bytes:
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-        for file in sorted(folder.rglob("*")):
-            if file.is_file():
-                archive.write(file, file.relative_to(folder.parent))
-    return content.getvalue()
 
 
 def recording_titles(inputs: WorkbenchInputs) -> list[str]:
