@@ -18,7 +18,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     """Design the trajectory that separates rival effects, and state how long it must be.
 
     fit FIT: input  fit of the arm
-    effects EFFECT …  rival effects, such as stribeck:4; at least two
+    effects EFFECT …  rival effects, such as stribeck:4; one alone is separated from its absence
     @FOLDER
     --size EFFECT=V1[,V2…] repeated  coefficients and shape parameters of an effect;
         default: fitted, or noise level

@@ -22,6 +22,7 @@ from lieid_casadi.errors import ExcitationError, ModelError
 from lieid_casadi.excitation.checks import MARGIN, control_times, default_limits, verify
 from lieid_casadi.excitation.limits import Limit, motion_range
 from lieid_casadi.excitation.sample_functions import FittedArm
+from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.identification import Fit
 
 TRIED = 12  # random motions from which separability and sizes are determined
@@ -55,8 +56,9 @@ def discriminate(
         Its noise, link parameters and effects are used. Rivals that it contains keep their
         fitted size.
     effects : sequence of str, or of sequences
-        ``stribeck:1``, each on one joint; two at least. Several groups of rivals are separated by
-        one motion: pairs are those within a group, beside the fit's effects of the other groups.
+        ``stribeck:1``, each on one joint; a single one is separated from its absence. Several
+        groups of rivals are separated by one motion: pairs are those within a group, beside the
+        fit's effects of the other groups.
     sizes : mapping, optional
         Label of an effect → its coefficients, optionally followed by its shape parameters. An
         effect without a stated or fitted size gets the RMS torque of the largest of these, or of
@@ -86,7 +88,7 @@ def discriminate(
     Raises
     ------
     EffectError
-        Fewer than two effects, one twice, an unknown one, one that is not on a single joint or
+        No effect, one twice, an unknown one, one that is not on a single joint or
         needs a temperature; a size that does not fit.
     ModelError
         A fit without noise.
@@ -119,14 +121,9 @@ def discriminate(
         robot, arm, motion_range(robot, acceleration, margin=margin), limits,
         duration=duration, harmonics=harmonics, start_pose=start_pose,
     )  # fmt: skip
-    samples_per_second = independent_rate(fit)
-    groups = [
-        RivalEffects(
-            fit, group, sizes or {}, independent_rate=samples_per_second,
-            duration=duration, velocity=feasible.range.velocity, level=level,
-        )
-        for group in groups_of(effects, sizes or {})
-    ]  # fmt: skip
+    groups = _groups(
+        fit, effects, sizes or {}, duration=duration, velocity=feasible.range.velocity, level=level
+    )
     random = np.random.default_rng([seed, 20])
     drawn = [feasible.drawn(random) for _ in range(starts)]
     for group in groups:
@@ -164,6 +161,46 @@ def discriminate(
         solve_seconds=time.monotonic() - began, rate=rate, interrupted=refined[-1].interrupted,
         checked=verified.checked, unchecked=verified.unchecked,
     )  # fmt: skip
+
+
+def separating_seconds(
+    fit: Fit,
+    effects: Sequence[Sequence[str]],
+    motion: MotionSamples,
+    *,
+    sizes: Mapping[str, Sequence[float]],
+    velocity: Array,
+    level: float = 0.95,
+) -> float:
+    """Return how long a stated motion must be repeated to separate effects, as `discriminate`, s.
+
+    ``velocity`` (n,) are the speed limits. A `NoSolution` if no time suffices.
+    """
+    duration = float(motion.t[-1])
+    groups = _groups(fit, effects, sizes, duration=duration, velocity=velocity, level=level)
+    for group in groups:
+        group.prepare([motion])
+    return duration / min(group.worst(motion) for group in groups)
+
+
+def _groups(
+    fit: Fit,
+    effects: Sequence[str] | Sequence[Sequence[str]],
+    sizes: Mapping[str, Sequence[float]],
+    *,
+    duration: float,
+    velocity: Array,
+    level: float,
+) -> list[RivalEffects]:
+    """Return the groups of rivals beside a fit, for a period of ``duration`` seconds."""
+    rate = independent_rate(fit)
+    return [
+        RivalEffects(
+            fit, group, sizes,
+            independent_rate=rate, duration=duration, velocity=velocity, level=level,
+        )
+        for group in groups_of(effects, sizes)
+    ]  # fmt: skip
 
 
 def _check_options(fit: Fit, level: float, starts: int, evaluations: int, rate: float) -> None:

@@ -17,13 +17,15 @@ from lieid_casadi.output_folder import write_folder
 from lieid_casadi.plot_style import Axes, Figure, drawing
 from lieid_casadi.tables import html
 
+ABSENCE = "its absence"  # the rival of an effect that has no other
+
 
 @dataclass(frozen=True, eq=False)
 class RivalPair:
     """One effect as the true one, the other as the rival that is fitted instead."""
 
     true: str  # label
-    rival: str
+    rival: str  # label, or ABSENCE
     noncentrality: float  # of one period: squared residual of the refit relative to the noise
     needed: float  # noncentrality at which the rival is rejected with the required power
     remaining: float  # part of the true effect's weighted torque that the refit leaves, 0 to 1
@@ -96,9 +98,10 @@ class Discrimination:
 
     def summary(self) -> str:
         """Return the result in sentences."""
+        them = "them" if len(self.sizes) > 1 else f"it from {ABSENCE}"
         text = (
             f"{' and '.join(self.sizes)}: {self.seconds:.4g} s of this motion "
-            f"({self.periods} × {self.trajectory.duration:.4g} s) separate them with "
+            f"({self.periods} × {self.trajectory.duration:.4g} s) separate {them} with "
             f"{100.0 * self.level:.4g} % confidence"
         )
         contained = [f"{p.true} from {p.rival}" for p in self.pairs if not p.separable]

@@ -14,7 +14,7 @@ from scipy.stats import chi2, ncx2
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.discrimination.discrimination import RivalPair
+from lieid_casadi.discrimination.discrimination import ABSENCE, RivalPair
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import EffectError, NoSolution
@@ -55,10 +55,15 @@ class StackedColumns:
         """Columns of each rival outside the common span, at each point of its grid."""
         return tuple(tuple(self.outside_model(c) for c in each) for each in self.columns)
 
-    def unexplained(self, true: int, rival: int, coefficients: Array) -> Array:
-        """Return the weighted torque (R,) of one effect that the best refit of another leaves."""
+    def unexplained(self, true: int, rival: int | None, coefficients: Array) -> Array:
+        """Return the weighted torque (R,) of one effect that the best refit of another leaves.
+
+        None stands for its absence: the refit of the common model alone.
+        """
         torque = self.remaining_columns[true][0] @ coefficients
         best: Array = torque
+        if rival is None:
+            return best
         for own in self.remaining_columns[rival]:
             basis = span_basis(own)
             left = torque - basis @ (basis.T @ torque)
@@ -103,7 +108,10 @@ class RivalEffect:
 
 
 class RivalEffects:
-    """A group of rival effects, and the model that they have in common."""
+    """A group of rival effects, and the model that they have in common.
+
+    One effect alone is separated from its absence, the rival None.
+    """
 
     def __init__(
         self,
@@ -125,7 +133,9 @@ class RivalEffects:
         self.compiled = compile(self.common)
         self._dead_zone = AT_REST * velocity
         self.effects = tuple(self._rival(p, sizes.get(p.label)) for p in placements)
-        self.needed: dict[tuple[int, int], float] = {}  # noncentrality, of separable pairs
+        count = len(self.effects)
+        self._pairs: list[tuple[int, int | None]] = [*permutations(range(count), 2)] or [(0, None)]
+        self.needed: dict[tuple[int, int | None], float] = {}  # noncentrality, of separable pairs
 
     def columns_along(self, motion: MotionSamples) -> StackedColumns:
         """Return the columns of the common model and of all rivals along one period."""
@@ -158,12 +168,11 @@ class RivalEffects:
                     "that no data can identify it. Leave it out, or fix the parameters that absorb "
                     "it"
                 )
-        pairs = list(permutations(range(len(self.effects)), 2))
-        for a, b in pairs:
+        for a, b in self._pairs:
             if max(self._remaining(stacked, a, b) for stacked in tried) >= ALIAS:
                 self.needed[a, b] = noncentrality_needed(self.effects[a].parameters, self.level)
-        for a, b in pairs:
-            if (a, b) not in self.needed and (b, a) not in self.needed:
+        for a, b in self._pairs:
+            if b is not None and (a, b) not in self.needed and (b, a) not in self.needed:
                 one, other = self.effects[a].label, self.effects[b].label
                 raise NoSolution(
                     f"{one} and {other} of these sizes explain the same torque along any motion, "
@@ -192,12 +201,14 @@ class RivalEffects:
         )
         stacked, samples = self.columns_along(motion), len(motion)
         found = []
-        for pair in permutations(range(len(self.effects)), 2):
-            true, other = (self.effects[k] for k in pair)
+        for pair in self._pairs:
+            true, other = (None if k is None else self.effects[k] for k in pair)
+            assert true is not None
             left = self._left(stacked, *pair)
             found.append(
                 RivalPair(
-                    true=true.label, rival=other.label, noncentrality=float(left @ left),
+                    true=true.label, rival=ABSENCE if other is None else other.label,
+                    noncentrality=float(left @ left),
                     needed=noncentrality_needed(true.parameters, self.level),
                     remaining=self._remaining(stacked, *pair), separable=pair in self.needed,
                     residual=left.reshape(samples, -1) * np.sqrt(samples) / self._torque_weight(),
@@ -205,11 +216,11 @@ class RivalEffects:
             )  # fmt: skip
         return found
 
-    def _left(self, stacked: StackedColumns, true: int, rival: int) -> Array:
+    def _left(self, stacked: StackedColumns, true: int, rival: int | None) -> Array:
         """Return the weighted torque (R,) that is unexplained if the rival is fitted."""
         return stacked.unexplained(true, rival, self.effects[true].coefficients)
 
-    def _remaining(self, stacked: StackedColumns, true: int, rival: int) -> float:
+    def _remaining(self, stacked: StackedColumns, true: int, rival: int | None) -> float:
         """Return the part (0 to 1) of an effect's torque that the rival's refit leaves."""
         left = float(np.linalg.norm(self._left(stacked, true, rival)))
         return left / self._size(stacked, true)
@@ -332,8 +343,8 @@ def rival_placements(effects: Sequence[str], n: int) -> list[Placement]:
                 f"{placement.label} needs {needs}, which a trajectory does not determine"
             )
         found.append(placement)
-    if len(found) < 2:
-        raise EffectError(f"{len(found)} effect; expected at least two rivals")
+    if not found:
+        raise EffectError("no effect; expected one, or several rivals")
     return found
 
 

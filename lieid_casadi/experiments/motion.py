@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import compile
 from lieid_casadi.discrimination import discriminate
+from lieid_casadi.discrimination.discriminate import separating_seconds
 from lieid_casadi.discrimination.motion_search import feasible_motions
 from lieid_casadi.discrimination.rival_effects import fitted_numbers
-from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import EffectError, LieidError, NoSolution
 from lieid_casadi.excitation import excite, friction_sweep
 from lieid_casadi.excitation.checks import verify
@@ -43,6 +43,7 @@ WORTH = 0.4  # of an excitation: ln of the factor by which it lowers standard de
 LEAST_INFORMATION = 1e-9  # relative to that of an excitation
 SWEEP_SPEEDS = (0.03, 0.15, 0.6)  # of the velocity limit
 CREEP_SPEEDS = (0.005, 0.02, 0.1)  # the same, near standstill
+SWEEP_RATE = 100.0  # Hz, at which slow runs are judged
 SWEEP_SECONDS = (1.0, 0.7)  # at each speed and direction, that are tried
 
 
@@ -145,7 +146,9 @@ class MotionDesign:
         if purpose.kind == "rivals":
             assert fit is not None
             main, promise = self._separating(purpose.groups, fit, recordings, most, progress)
-        elif sweep := self._sweep(purpose, found, recordings):
+        elif purpose.kind == "range" and (
+            sweep := self._sweep(joints_of(purpose.signals), SWEEP_SPEEDS, recordings)
+        ):
             main, promise, fit = sweep
         else:
             drawn = 0 if purpose.kind == "temperature" else number  # the same motion each time
@@ -154,7 +157,11 @@ class MotionDesign:
             )
             if purpose.kind == "excitation" and worth < WORTH:
                 return None
-            fit = self.fit
+            slow = None
+            if purpose.kind == "evidence":
+                assert found is not None
+                slow = self._slow_runs(purpose.groups, found, recordings, beside=main)
+            main, promise, fit = slow or (main, promise, self.fit)
         whole, arm = joined(self.probe, main), None if fit is None else FittedArm.of(fit)
         robot = self.model.robot
         verified = verify(robot, whole, self.range, on_arm(self.limits, robot, arm), arm)
@@ -219,26 +226,17 @@ class MotionDesign:
         return design.motion(), f"Condition number {design.condition_number:.3g}."
 
     def _sweep(
-        self, purpose: Purpose, found: Fit | None, recordings: Sequence[Recording]
+        self, joints: set[int], speeds: Sequence[float], recordings: Sequence[Recording]
     ) -> tuple[MotionSamples, str, Fit] | None:
-        """Return runs of one joint at constant speeds, if they show what is open on it alone.
+        """Return runs of a single joint, from rest, at parts of its speed limit.
 
-        They are slow ones, from rest, for an effect that acts near standstill: excitations pass
-        through its speeds in a few samples. The fit is that of the limits.
+        The fit is that of the limits: shapes cannot be extrapolated.
         """
-        open_on = purpose.signals or tuple(label for (label,) in purpose.groups)
-        joints = {int(x) - 1 for name in open_on for x in re.findall(r"\d+$", name)}
-        if len(joints) != 1 or purpose.kind not in ("range", "evidence"):
+        if len(joints) != 1:
             return None
         (joint,) = joints
-        limit, speeds = self.range.velocity[joint], SWEEP_SPEEDS
-        if purpose.kind == "evidence":
-            assert found is not None
-            speeds = CREEP_SPEEDS
-            scales = [velocity_scale(found, label, recordings) for label in open_on]
-            if max(scales) > speeds[-1] * limit:
-                return None
-        fit = identify(self.model, recordings)  # shapes cannot be extrapolated
+        fit = identify(self.model, recordings)
+        limit = self.range.velocity[joint]
         for seconds in SWEEP_SECONDS:
             try:
                 sweep = friction_sweep(
@@ -295,13 +293,41 @@ class MotionDesign:
             )
         raise NoSolution(" ".join(dict.fromkeys(reasons)))
 
+    def _slow_runs(
+        self,
+        groups: Sequence[Group],
+        found: Fit,
+        recordings: Sequence[Recording],
+        *,
+        beside: MotionSamples,
+    ) -> tuple[MotionSamples, str, Fit] | None:
+        """Return slow runs of the joint on which effects are open, if they show more than a motion.
 
-def velocity_scale(fit: Fit, label: str, recordings: Sequence[Recording]) -> float:
-    """Return the speed below which an effect acts, rad/s; infinite if it acts at any speed."""
-    numbers = rival_sizes(fit, ("", label), recordings).get(label, [])
-    effect = place(label, fit.model.n)[0].effect
-    shapes = zip(effect.shapes, numbers[len(effect.coefficients) :], strict=False)
-    return min((value for shape, value in shapes if shape.resolved_by == "speed"), default=np.inf)
+        They may for effects that act near standstill: excitations pass these speeds in a few
+        samples.
+        """
+        joints = joints_of([label for group in groups for label in group])
+        sweep = self._sweep(joints, CREEP_SPEEDS, recordings)
+        if sweep is None:
+            return None
+        sizes = {x: v for g in groups for x, v in rival_sizes(found, ("", *g), recordings).items()}
+
+        def needed(motion: MotionSamples) -> float:
+            every = max(round(self.rate / SWEEP_RATE), 1)
+            kinds = [getattr(motion, name)[::every] for name in ("t", "q", "dq", "ddq")]
+            try:
+                return separating_seconds(
+                    found, groups, MotionSamples(*kinds), sizes=sizes, velocity=self.range.velocity
+                )
+            except (EffectError, NoSolution):
+                return np.inf
+
+        return sweep if needed(sweep[0]) < needed(beside) else None
+
+
+def joints_of(names: Sequence[str]) -> set[int]:
+    """Return the joints, from 0, of labels or signals such as ``stribeck:2`` and ``dq2``."""
+    return {int(x) - 1 for name in names for x in re.findall(r"\d+$", name)}
 
 
 def joined(first: MotionSamples, second: MotionSamples) -> MotionSamples:

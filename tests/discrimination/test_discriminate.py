@@ -156,6 +156,22 @@ def test_interrupted_search_keeps_the_best_so_far(fit, monkeypatch):
     assert design.seconds > 0.0
 
 
+def test_one_effect_is_separated_from_its_absence(robot, fit):
+    """Its noncentrality is the square of the coefficient in standard deviations of a fit."""
+    label, stiffness = "position_spring:2", 0.05
+    design = discriminate(fit, [label], sizes={label: [stiffness]}, evaluations=110)
+    (pair,) = design.pairs
+    assert (pair.rival, pair.remaining < 1.0) == ("its absence", True)
+    assert f"separate it from {pair.rival}" in design.summary()
+    motion = design.motion(rate=1000.0)
+    arm = plant.demo_arm(robot, hidden=plant.PositionSpring(1, stiffness=stiffness))
+    recording = measured(arm, motion.t, motion.q, motion.dq, motion.ddq, 7)
+    model = lieid.Model(robot, [*EFFECTS, label])
+    again = lieid.identify(model, recording, processing=fit.processing)
+    std = dict(zip((c.label for c in again.fitted), again.std, strict=True))["position_spring.K:2"]
+    assert (stiffness / std) ** 2 == pytest.approx(pair.noncentrality, rel=0.4)
+
+
 def test_effect_of_the_fit_keeps_its_size(robot, train):
     fit = lieid.identify(lieid.Model(robot, [*EFFECTS, "viscous_polynomial:1"]), train)
     design = discriminate(fit, RIVALS, evaluations=110)
