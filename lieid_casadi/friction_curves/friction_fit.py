@@ -14,7 +14,7 @@ from scipy.stats import qmc
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.compiled.triangular_factors import Triangle
-from lieid_casadi.effects import Effect, Placement
+from lieid_casadi.effects import ArmEffect, Effect, Placement
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     BoundWarning,
@@ -254,7 +254,7 @@ def _placements(
             raise EffectError(f"effect {p.label} does not act on joint {joint + 1} of the curve")
         # effects with memory are in steady state on a curve
         elsewhere = bool(OTHER_SIGNALS & set(p.effect.signals)) and not p.effect.states
-        if hasattr(p.effect, "along") or elsewhere:
+        if isinstance(p.effect, ArmEffect) or elsewhere:
             raise EffectError(
                 f"{p.effect.label} is not friction of speed and load; use identify instead"
             )

@@ -203,6 +203,7 @@ def test_negative_friction_is_reported(full_curve, fit):
         ("coulomb:2", "coulomb:2 does not act on joint 1"),
         ("coulom", "unknown effect"),
         ("warm_up", "is not friction of speed and load"),
+        ("torque_gain", "is not friction of speed and load"),
         ("transmission_coupling", "couples two joints"),
         ("", "no effects given"),
     ],
