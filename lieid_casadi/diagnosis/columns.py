@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate
-from lieid_casadi.diagnosis.effect_columns import (
-    OWN,
-    EffectFunction,
-    SegmentSignals,
-    columns_along,
-)
 from lieid_casadi.effects import ArmEffect, Effect
+from lieid_casadi.expressions.effect_function import OWN, EffectFunction
+from lieid_casadi.identification import Fit
+from lieid_casadi.identification.regression.effect_columns import filtered_columns, signals_along
+from lieid_casadi.identification.regression.segment_columns import ModelAlongSegment, model_along
 from lieid_casadi.identification.uncertainty.noise_model import Runs
+from lieid_casadi.recording import Processed
 
 Indices = NDArray[np.intp]
 #: Columns (N_j, c) by joint, of one candidate at one grid point.
@@ -28,6 +27,28 @@ CHUNK = 128
 PHASE_STEP = 0.35  # of a scan, in turns over the range of motion: half a turn would miss peaks
 SLOW_PERCENTILE = 25.0  # of the speeds at which the highest harmonic must pass the low-pass filter
 SCAN_PEAKS = 8  # that become grid points
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentSignals:
+    """The signals that effects depend on, along one segment."""
+
+    segment: Processed
+    #: by signal: (K, n) at its instants
+    values: dict[str, Array]
+    #: for effects that are computed along the whole segment
+    arm: ModelAlongSegment
+
+    @classmethod
+    def of(cls, fit: Fit, segment: Processed, *, model_fixed: bool = False) -> SegmentSignals:
+        """Return the signals of a segment; the load is that of the fit.
+
+        If the model is not fitted again, its friction at starts and stops does not adapt to the
+        segment, and friction at rest counts as unknown.
+        """
+        arm = model_along(fit.compiled, segment, fit.shapes, fit.parameters)
+        arm = replace(arm, unknown_at_rest=model_fixed)
+        return cls(segment, signals_along(segment, arm.load, arm.late_error), arm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +311,9 @@ def _of_joint_effect(
 ) -> list[PointColumns]:
     """Return the columns (N_j, G·c) of the candidates of one effect by joint."""
     function, places = EffectFunction(group[0].effect), [c.placement for c in group]
-    values = np.concatenate([columns_along(function, s, places, group[0].grid) for s in signals])
+    grid = group[0].grid
+    parts = [filtered_columns(function, s.segment, s.values, places, grid) for s in signals]
+    values = np.concatenate(parts)
     return [
         {c.joint: values[runs[c.joint].all, k].reshape(runs[c.joint].count, -1)}
         for k, c in enumerate(group)

@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate, list_candidates
-from lieid_casadi.diagnosis.columns import Columns, ColumnStore, evaluate, scan_peaks
-from lieid_casadi.diagnosis.effect_columns import SegmentSignals
+from lieid_casadi.diagnosis.columns import (
+    Columns,
+    ColumnStore,
+    SegmentSignals,
+    evaluate,
+    scan_peaks,
+)
 from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along

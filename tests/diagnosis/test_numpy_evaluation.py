@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.diagnosis.effect_columns import OWN, ArrayFunction, signals_of, states_along
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.presliding import Presliding
 from lieid_casadi.effects.registry import REGISTER, make
+from lieid_casadi.expressions.effect_function import OWN, ArrayFunction, EffectFunction, signals_of
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 EXPRESSIONS = {
@@ -43,7 +43,7 @@ def test_constant_results():
 )
 def test_every_effect_has_the_columns_of_the_compiled_model(label):
     from lieid_casadi import plant
-    from lieid_casadi.diagnosis.effect_columns import EffectFunction, SegmentSignals
+    from lieid_casadi.identification.regression.effect_columns import signals_along
     from lieid_casadi.recording import Processing, process
 
     robot = lieid.robots.two_link()
@@ -56,14 +56,13 @@ def test_every_effect_has_the_columns_of_the_compiled_model(label):
     temperature = 20.0 + np.column_stack([t, 2.0 * t])
     recording = lieid.Recording.from_arrays(t, q, dq, np.zeros_like(q), temperature=temperature)
     (segment,) = process(recording, Processing(cutoff=8.0))
-    fit = lieid.identify(lieid.Model(robot), recording, processing=Processing(cutoff=8.0))
-    signals = SegmentSignals.of(fit, segment)
-    signals.values["load"][:] = 3.0 * np.sin(segment.q)
+    load = 3.0 * np.sin(segment.q)
+    signals = signals_along(segment, load, None)
     places = [(0, 1 if effect.couples else None)]
     shapes = np.array([[shape.initial for shape in effect.shapes]])
     found = EffectFunction(effect).columns(signals, places, shapes)[:, 0, 0]
     expected = lieid.compile(model).effect_columns(
-        segment.q, segment.dq, segment.ddq, load=signals.values["load"],
+        segment.q, segment.dq, segment.ddq, load=load,
         temperature=segment.temperature, time=segment.t - segment.t[0],
         dead_zone=segment.dead_zone,
     )[:, 0]  # fmt: skip
@@ -93,7 +92,13 @@ def test_states_are_those_of_single_steps(effect, shapes):
         "q": np.sin([2.0, 5.0] * time), "dq": [2.0, 5.0] * np.cos([2.0, 5.0] * time), "time": time,
     }  # fmt: skip
     values["q"][20, 0] = values["dq"][30, 1] = np.nan
-    (found,) = states_along(effect, [values[name][:, :, None] for name in OWN], grid)
+    places = [(0, None), (1, None)]
+    # f_c·z/w, at values that are the same at both places, and that differ between them
+    found = EffectFunction(effect).columns(values, places, grid)[..., 0] * grid[:, 0]
+    apart = np.stack([grid, grid[::-1]])
+    both = EffectFunction(effect).columns(values, places, apart)[..., 0] * apart[:, :, 0]
+    np.testing.assert_array_equal(both[:, 0], found[:, 0])
+    np.testing.assert_array_equal(both[:, 1], found[:, 1, ::-1])
     before, now = ({name: ca.SX.sym(name) for name in OWN} for _ in range(2))
     z = ca.SX.sym("z")
     signals = signals_of(before)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +18,10 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.compiled.batch_evaluation import BaseBlocks
 from lieid_casadi.compiled.compiled_model import Part
-from lieid_casadi.effects import ArmEffect
+from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.effects.command_delay import CommandDelay
+from lieid_casadi.expressions.effect_function import EffectFunction
+from lieid_casadi.identification.regression.effect_columns import filtered_columns, signals_along
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
     Indices,
@@ -25,7 +29,7 @@ from lieid_casadi.identification.regression.least_squares import (
     Rows,
     combine,
 )
-from lieid_casadi.identification.regression.segment_columns import effect_signals, effects_along
+from lieid_casadi.identification.regression.segment_columns import effect_signals, model_along
 from lieid_casadi.model import Model
 from lieid_casadi.recording.filtering import Window
 from lieid_casadi.recording.processed import Processed
@@ -151,6 +155,48 @@ def _meanings(model: Model) -> list[int | tuple[str, str]]:
     return [every[k] for k in model.base.kept]
 
 
+@dataclass(frozen=True, eq=False)
+class VaryingEffect:
+    """A placed effect with columns that depend on shape parameters or on the load.
+
+    ``coefficients``, ``shapes`` and ``columns`` are its places among the model's coefficients,
+    shapes and base columns, ``at`` those among the varying columns of a design; ``kept`` are those
+    of its coefficients that are base columns.
+    """
+
+    placement: Placement
+    coefficients: slice
+    shapes: Indices
+    columns: Indices
+    at: Indices
+    kept: Indices
+
+    @property
+    def uses_load(self) -> bool:
+        """Whether its columns depend on the fitted model."""
+        return "load" in self.placement.effect.signals or self.of_arm
+
+    @property
+    def of_arm(self) -> bool:
+        """Whether it is computed along the whole segment."""
+        return isinstance(self.placement.effect, ArmEffect)
+
+
+def varying_effects(model: Model) -> tuple[VaryingEffect, ...]:
+    """Return the effects of a model with columns that depend on shape parameters or on the load."""
+    position = {int(k): i for i, k in enumerate(model.base.kept)}
+    varies, found, first = varying_columns(model), [], 0
+    for slot in model.slots:
+        own = np.arange(slot.columns.start, slot.columns.stop)
+        kept = np.array([i for i, k in enumerate(own) if 10 * model.n + k in position], np.intp)
+        if len(kept) and varies[own].all():
+            columns = np.array([position[10 * model.n + int(k)] for k in own[kept]], np.intp)
+            at, first = first + np.arange(len(kept)), first + len(kept)
+            shapes = np.arange(slot.shapes.start, slot.shapes.stop)
+            found.append(VaryingEffect(slot.placement, slot.columns, shapes, columns, at, kept))
+    return tuple(found)
+
+
 class Design:
     """Columns of one model along processed segments with torque.
 
@@ -169,14 +215,16 @@ class Design:
         self.compiled = compiled
         self.model = compiled.model
         self.segments = tuple(segments)
-        effect = self.model.base.kept - 10 * self.model.n  # effect column of each base column
-        varies = varying_columns(self.model)
-        #: base columns (v,) that depend on shapes or load
-        self.varying = np.array([i for i, k in enumerate(effect) if k >= 0 and varies[k]], np.intp)
-        self._wanted = effect[self.varying]
+        #: effects with columns that depend on shapes or load, and these base columns (v,)
+        self.effects = varying_effects(self.model)
+        self.varying = np.concatenate([np.zeros(0, np.intp), *(e.columns for e in self.effects)])
+        self.of_arm = [e for e in self.effects if e.of_arm]
+        #: the others by their labels: one effect on several joints
+        self.alike: dict[str, list[VaryingEffect]] = {}
+        for effect in self.effects:
+            if not effect.of_arm:
+                self.alike.setdefault(effect.placement.effect.label, []).append(effect)
         self._active = active_columns(compiled)
-        acts = np.array([np.isin(self.varying, active) for active in self._active])
-        self._pairs = np.nonzero(acts)  # joints, and the varying columns that act on them
         self._use = [usable_rows(self.model, s) for s in self.segments]
         self._torque = [s.filtered_torque for s in self.segments]
         lengths = [len(use) for use in self._use]
@@ -190,9 +238,10 @@ class Design:
             self.on_joint(j, [part[j].T for part in parts]) for j in range(self.model.n)
         ]
         self._rows: Rows | None = None
-        self._last: tuple[tuple[bytes, bytes | None], list[Array]] | None = None
-        #: of each segment: varying columns (K, a) as evaluated last, and filtered (M, a)
-        self._evaluated: list[tuple[Array, Array] | None] = [None] * len(self.segments)
+        self._functions: dict[str, EffectFunction] = {}
+        self._loaded: tuple[bytes, list[dict[str, Array]]] | None = None  # by the load's parameters
+        #: rows of effects as evaluated last, by label, with the shapes and load there
+        self._last: dict[str, tuple[tuple[bytes, bytes | None], list[Array]]] = {}
 
     def rows(self, shapes: Array, link_parameters: Array | None) -> Rows:
         """Return the equations at shapes (s,) and the load by link parameters (None: no load).
@@ -225,51 +274,89 @@ class Design:
 
     def varying_rows(self, shapes: Array, link_parameters: Array | None) -> list[Array]:
         """Return the varying columns per joint (R, v), with the rows of `rows`."""
-        blocks = self._varying_blocks(shapes, link_parameters)
-        return [self.on_joint(j, [b[:, j] for b in blocks]) for j in range(self.model.n)]
+        counts = [sum(int(use[:, j].sum()) for use in self._use) for j in range(self.model.n)]
+        found = [np.zeros((count, len(self.varying))) for count in counts]
+        for alike in self.alike.values():
+            here = self._present(alike, shapes, link_parameters)
+            for effect, columns in zip(alike, here, strict=True):
+                found[effect.placement.joint][:, effect.at] = columns
+        if self.of_arm:
+            at = np.concatenate([effect.at for effect in self.of_arm])
+            for own, columns in zip(found, self.arm_rows(shapes, link_parameters), strict=True):
+                own[:, at] = columns
+        return found
+
+    def _present(
+        self, alike: Sequence[VaryingEffect], shapes: Array, links: Array | None
+    ) -> list[Array]:
+        """Return the columns (R, c) of one effect on each of its joints; the last ones are kept."""
+        label = alike[0].placement.effect.label
+        own = np.array([shapes[effect.shapes] for effect in alike])
+        load = None if links is None or not alike[0].uses_load else links[: 10 * self.model.n]
+        key = own.tobytes(), None if load is None else load.tobytes()
+        if label not in self._last or self._last[label][0] != key:
+            columns = self.joint_columns(alike, own[:, None], links)
+            self._last[label] = key, [each[:, 0] for each in columns]
+        return self._last[label][1]
+
+    def joint_columns(
+        self, alike: Sequence[VaryingEffect], grid: Array, links: Array | None
+    ) -> list[Array]:
+        """Return the columns (R, G, c) of one effect on some joints at values of its shapes.
+
+        The grid is (G, s), or (P, G, s) with other values on each joint.
+        """
+        effect, placements = alike[0].placement.effect, [e.placement for e in alike]
+        function = self._functions.setdefault(effect.label, EffectFunction(effect))
+        signals = self._signals_at(links if alike[0].uses_load else None)
+        parts = [
+            filtered_columns(function, segment, own, placements, grid)
+            for segment, own in zip(self.segments, signals, strict=True)
+        ]
+        return [
+            self.on_joint(e.placement.joint, [p[:, k][..., e.kept] for p in parts])
+            for k, e in enumerate(alike)
+        ]
+
+    @cached_property
+    def _signals(self) -> list[dict[str, Array]]:
+        """Signals of each segment without a load."""
+        zero = [np.zeros_like(s.q) for s in self.segments]
+        pairs = zip(self.segments, zero, strict=True)
+        return [signals_along(s, load, s.command_error) for s, load in pairs]
+
+    def _signals_at(self, links: Array | None) -> list[dict[str, Array]]:
+        """Return the signals of each segment, with the load of link parameters; zero without."""
+        if links is None:
+            return self._signals
+        own = links[: 10 * self.model.n]
+        if self._loaded is None or self._loaded[0] != own.tobytes():
+            motions = [(s.q, s.dq, s.ddq) for s in self.segments]
+            loads = [self.compiled.inverse_dynamics(*motion, own) for motion in motions]
+            pairs = zip(self._signals, loads, strict=True)
+            self._loaded = own.tobytes(), [signals | {"load": load} for signals, load in pairs]
+        return self._loaded[1]
+
+    def arm_rows(self, shapes: Array, links: Array | None) -> list[Array]:
+        """Return the columns per joint (R, a) of effects that are computed along a segment."""
+        key = shapes.tobytes(), None if links is None else links.tobytes()
+        if "" not in self._last or self._last[""][0] != key:
+            wanted = [int(k) for e in self.of_arm for k in e.coefficients.start + e.kept]
+            parts = []
+            for segment in self.segments:
+                raw = np.zeros((len(segment), self.model.n, len(wanted)))
+                if links is not None:  # without a load there are no columns either
+                    own = model_along(self.compiled, segment, shapes, links).arm_columns()
+                    raw = np.stack([own[k] for k in wanted], axis=-1)
+                parts.append(segment.filter(raw.reshape(len(raw), -1)).reshape(-1, *raw.shape[1:]))
+            joints = range(self.model.n)
+            self._last[""] = key, [self.on_joint(j, [p[:, j] for p in parts]) for j in joints]
+        return self._last[""][1]
 
     def on_joint(self, joint: int, values: Sequence[Array]) -> Array:
         """Return filtered values (M, …) of each segment on the rows (R, …) of a joint."""
         used = (own[mask[:, joint]] for own, mask in zip(values, self._use, strict=True))
         return np.concatenate(list(used))
-
-    def columns_on(self, joint: int) -> Indices:
-        """Return the positions, among the varying columns, of those of effects on a joint."""
-        own = [self.model.columns[k].joint == joint for k in self._wanted]
-        return np.flatnonzero(own)
-
-    def _varying_blocks(self, shapes: Array, links: Array | None) -> list[Array]:
-        """Return the filtered varying columns (M, n, v) of each segment.
-
-        Those of the last call are kept: residual, derivatives and rows of a fit follow each other
-        at the same shapes and load.
-        """
-        key = shapes.tobytes(), None if links is None else links.tobytes()
-        if self._last is None or self._last[0] != key:
-            numbers = range(len(self.segments))
-            self._last = key, [self._varying_columns(k, shapes, links) for k in numbers]
-        return self._last[1]
-
-    def _varying_columns(self, number: int, shapes: Array, links: Array | None) -> Array:
-        """Return the filtered varying columns (M, n, v) of a segment.
-
-        Filtered are those that changed since the last call: a search moves one effect at a time.
-        """
-        segment = self.segments[number]
-        effects = effects_along(self.compiled, segment, shapes, links, wanted=self._wanted)
-        joints, places = self._pairs
-        raw = effects[:, joints, places]
-        before = self._evaluated[number]
-        if before is None:
-            filtered = segment.filter(raw)
-        else:
-            filtered = before[1].copy()
-            changed = (raw != before[0]).any(axis=0)
-            filtered[:, changed] = segment.filter(raw[:, changed])
-        self._evaluated[number] = raw, filtered
-        columns = np.zeros((len(filtered), self.model.n, len(self._wanted)))
-        columns[:, joints, places] = filtered
-        return columns
 
 
 def _torque(segment: Processed) -> Array:

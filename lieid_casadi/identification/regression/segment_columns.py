@@ -202,28 +202,19 @@ def effects_along(
     compiled: Compiled,
     segment: Processed,
     shapes: Array,
-    parameters: Array | None,
+    parameters: Array,
     *,
     fitted: bool = True,
-    wanted: NDArray[np.intp] | None = None,
 ) -> Array:
-    """Return the columns of all effects (K, n, m) along a segment, or of ``wanted`` ones."""
-    if parameters is None:  # and no load, from which effects on the whole arm follow
-        arm, zero = None, np.zeros((len(segment), compiled.n))
-        slots = [slot.columns for slot, _ in _arm_effects(compiled.model)]
-        own = {k: zero for columns in slots for k in range(columns.start, columns.stop)}
+    """Return the columns of all effects (K, n, m) along a segment."""
+    arm = model_along(compiled, segment, shapes, parameters, fitted=fitted)
+    own = arm.arm_columns()
+    count = len(compiled.model.columns)
+    if len(own) == count:  # other columns, which are large, are not needed
+        columns = np.zeros((len(segment), compiled.n, count))
     else:
-        arm = model_along(compiled, segment, shapes, parameters, fitted=fitted)
-        own = arm.arm_columns()
-    kept = range(len(compiled.model.columns)) if wanted is None else wanted.tolist()
-    if all(k in own for k in kept):  # other columns, which are large, are not needed
-        columns = np.zeros((len(segment), compiled.n, len(kept)))
-    else:
-        signals: dict[str, Any] = effect_signals(segment, shapes, None if arm is None else arm.load)
-        motion = segment.q, segment.dq, segment.ddq
-        columns = compiled.effect_columns(*motion, **signals, joint_effects_only=True)
-        columns = columns if wanted is None else columns[:, :, wanted]
-    for place, k in enumerate(kept):
-        if k in own:
-            columns[:, :, place] = own[k]
+        signals: dict[str, Any] = effect_signals(segment, shapes, arm.load)
+        columns = compiled.effect_columns(*arm.motion, **signals, joint_effects_only=True)
+    for k, values in own.items():
+        columns[:, :, k] = values
     return columns

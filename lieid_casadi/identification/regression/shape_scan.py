@@ -18,15 +18,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects import ArmEffect, Placement
-from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.design_matrix import Design, VaryingEffect
 from lieid_casadi.identification.regression.least_squares import (
     RANK_TOLERANCE,
     Rows,
@@ -34,10 +32,8 @@ from lieid_casadi.identification.regression.least_squares import (
     joint_factors,
     unit_columns,
 )
-from lieid_casadi.identification.regression.segment_columns import effect_signals, model_along
+from lieid_casadi.identification.regression.segment_columns import model_along
 from lieid_casadi.identification.regression.variable_projection import ShapeRange
-from lieid_casadi.model import Model
-from lieid_casadi.recording import Processed
 
 #: Values tried per shape parameter of an effect with one, two, three of them.
 GRID = (33, 11, 6)
@@ -56,25 +52,11 @@ Columns = dict[int, Array]
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """An effect with fitted shapes, and the values (G, s) that are tried.
+    """An effect with fitted shapes, and the values (G, s) that are tried."""
 
-    ``coefficients``, ``shapes`` and ``columns`` are its places among the model's coefficients,
-    shapes and base columns; ``kept`` are those of its coefficients that are base columns.
-    """
-
-    placement: Placement
-    coefficients: slice
-    shapes: NDArray[np.intp]
-    columns: NDArray[np.intp]
-    kept: NDArray[np.intp]
+    effect: VaryingEffect
     grid: Array
     waves: bool
-
-    @property
-    def uses_load(self) -> bool:
-        """Whether its columns depend on the fitted model."""
-        effect = self.placement.effect
-        return "load" in effect.signals or isinstance(effect, ArmEffect)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +86,6 @@ class ShapeScan:
         self.design = design
         self._ranges = ranges
         self.members = _members(design, ranges)
-        self._compiled: dict[str, Compiled] = {}
         self._kept: dict[int, tuple[bytes | None, Columns]] = {}
 
     def found(
@@ -115,7 +96,9 @@ class ShapeScan:
         ``afresh`` starts without the effects, otherwise at the given shapes. Rows are those of
         the design at these shapes and links; ``noise`` (n,) weights them.
         """
-        fixed = WeightedProjection(rows, np.concatenate([m.columns for m in self.members]), noise)
+        fixed = WeightedProjection(
+            rows, np.concatenate([m.effect.columns for m in self.members]), noise
+        )
         here = _Here(self, fixed, shapes, links)
         shapes, current = shapes.copy(), dict[int, Trial]()
         if not afresh:
@@ -133,86 +116,47 @@ class ShapeScan:
         return shapes
 
     def _move(self, move: _Move, shapes: Array, current: dict[int, Trial]) -> None:
-        shapes[self.members[move.member].shapes] = move.values
+        shapes[self.members[move.member].effect.shapes] = move.values
         current[move.member] = move.trial
 
     def columns(self, k: int, values: Array, shapes: Array, links: Array | None) -> Columns:
         """Return the columns of member k at values (G, s) of its shapes, not weighted."""
-        member = self.members[k]
-        if isinstance(member.placement.effect, ArmEffect):
-            return self._arm_columns(member, values, shapes, links)
-        (found,) = self._joint_columns([member], values, links)
-        return found
+        effect = self.members[k].effect
+        if effect.of_arm:
+            return self._arm_columns(effect, values, shapes, links)
+        (rows,) = self.design.joint_columns([effect], values, links)
+        return {effect.placement.joint: _stacked(rows)}
 
     def grid_columns(self, k: int, shapes: Array, links: Array | None) -> Columns:
         """Return the columns of member k on its whole grid."""
         member = self.members[k]
-        if isinstance(member.placement.effect, ArmEffect):
+        if member.effect.of_arm:
             return self.columns(k, member.grid, shapes, links)
-        key = None if not member.uses_load or links is None else links.tobytes()
-        if self._kept.get(k, (b"", {}))[0] != key:  # with those on other joints, at once
-            alike = [
-                i for i, m in enumerate(self.members)
-                if m.placement.effect.label == member.placement.effect.label
-                and np.array_equal(m.grid, member.grid)
-            ]  # fmt: skip
-            found = self._joint_columns([self.members[i] for i in alike], member.grid, links)
-            self._kept |= {i: (key, columns) for i, columns in zip(alike, found, strict=True)}
+        key = None if not member.effect.uses_load or links is None else links.tobytes()
+        if self._kept.get(k, (b"", {}))[0] != key:
+            self._kept[k] = key, self.columns(k, member.grid, shapes, links)
         return self._kept[k][1]
 
-    def _joint_columns(
-        self, members: Sequence[Member], values: Array, links: Array | None
-    ) -> list[Columns]:
-        """Return the columns of one effect on several joints, all at the same values."""
-        design, label = self.design, members[0].placement.effect.label
-        same = [m for m in self.members if m.placement.effect.label == label]
-        if label not in self._compiled:
-            model = Model.of_placements(design.model.robot, [m.placement for m in same])
-            self._compiled[label] = compile(model, threads=design.compiled.threads)
-        width = len(same[0].placement.effect.coefficients)
-        taken = [width * same.index(m) + i for m in members for i in m.kept]
-        joints = [m.placement.joint for m in members for _ in m.kept]
-        parts = []
-        for segment in design.segments:
-            motion, load = (segment.q, segment.dq, segment.ddq), None
-            if members[0].uses_load and links is not None:
-                load = design.compiled.inverse_dynamics(*motion, links[: 10 * design.model.n])
-            raw = np.empty((len(segment), len(values), len(taken)))
-            for g, value in enumerate(values):
-                signals: dict[str, Any] = effect_signals(segment, np.tile(value, len(same)), load)
-                columns = self._compiled[label].effect_columns(*motion, **signals)
-                raw[:, g] = columns[:, joints, taken]
-            parts.append(_filtered(segment, raw))
-        found, first = [], 0
-        for member in members:
-            own = slice(first, first + len(member.kept))
-            first, joint = own.stop, member.placement.joint
-            rows = design.on_joint(joint, [part[:, :, own] for part in parts])
-            found.append({joint: np.ascontiguousarray(np.moveaxis(rows, 0, -1))})
-        return found
-
     def _arm_columns(
-        self, member: Member, values: Array, shapes: Array, links: Array | None
+        self, own: VaryingEffect, values: Array, shapes: Array, links: Array | None
     ) -> Columns:
-        effect = member.placement.effect
+        effect = own.placement.effect
         assert isinstance(effect, ArmEffect)
         assert links is not None  # `fixed_point` waits for them
         model = self.design.model
         every = np.zeros(10 * model.n + len(model.columns))
         every[: len(links)] = links
-        own = every[10 * model.n :][member.coefficients]
+        coefficients = every[10 * model.n :][own.coefficients]
         parts = []
         for segment in self.design.segments:
             arm = model_along(self.design.compiled, segment, shapes, every)
-            raw = [
-                effect.segment_columns(arm, member.placement.joint, np.concatenate([own, value]))
-                for value in values
-            ]
-            parts.append(_filtered(segment, np.stack(raw, axis=1)[..., member.kept]))
+            tried = [np.concatenate([coefficients, value]) for value in values]
+            raw = [effect.segment_columns(arm, own.placement.joint, x) for x in tried]
+            columns = np.stack(raw, axis=1)[..., own.kept]
+            filtered = segment.filter(columns.reshape(len(segment), -1))
+            parts.append(filtered.reshape(-1, *columns.shape[1:]))
         return {
-            j: np.ascontiguousarray(
-                np.moveaxis(self.design.on_joint(j, [p[:, :, j] for p in parts]), 0, -1)
-            )
+            j: _stacked(self.design.on_joint(j, [p[:, :, j] for p in parts]))
             for j in range(model.n)
         }
 
@@ -263,8 +207,8 @@ class WeightedProjection:
         """Return the trial of a member at the shapes of the rows."""
         columns = {}
         for j, joint in enumerate(rows.joints):
-            if np.isin(member.columns, joint.columns).all():
-                at = np.searchsorted(joint.columns, member.columns)
+            if np.isin(member.effect.columns, joint.columns).all():
+                at = np.searchsorted(joint.columns, member.effect.columns)
                 columns[j] = np.ascontiguousarray(joint.matrix[:, at].T)[None]
         return self.trial(columns)
 
@@ -352,28 +296,22 @@ def _peaks(falls: Array) -> list[int]:
     return [int(k) for k in peaks[np.argsort(-falls[peaks], kind="stable")[:PEAKS]]]
 
 
-def _filtered(segment: Processed, values: Array) -> Array:
-    """Return filtered values (M, …) of (K, …)."""
-    return segment.filter(values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
+def _stacked(rows: Array) -> Array:
+    """Return columns (G, c, R) of (R, G, c)."""
+    return np.ascontiguousarray(np.moveaxis(rows, 0, -1))
 
 
 def _members(design: Design, ranges: ShapeRange) -> list[Member]:
     """Return the effects with fitted shapes, ordered by their labels."""
-    model = design.model
-    position = {int(k): i for i, k in enumerate(model.base.kept)}
     found = []
-    for slot in model.slots:
-        p, numbers = slot.placement, np.arange(slot.shapes.start, slot.shapes.stop)
-        own = 10 * model.n + np.arange(slot.columns.start, slot.columns.stop)
-        kept = np.array([i for i, k in enumerate(own) if int(k) in position], dtype=np.intp)
-        if not any(s.data is None for s in p.effect.shapes) or not len(kept):
+    for effect in design.effects:
+        p = effect.placement
+        if all(s.data is not None for s in p.effect.shapes):
             continue
-        columns = np.array([position[int(own[i])] for i in kept], dtype=np.intp)
-        waves = len(numbers) == 1 and p.effect.shapes[0].scan is not None
-        own_range = ShapeRange(ranges.lower[numbers], ranges.upper[numbers])
-        grid = _waves(design, p, own_range) if waves else _grid(p, own_range)
-        found.append(Member(p, slot.columns, numbers, columns, kept, grid, waves))
-    return sorted(found, key=lambda member: member.placement.label)
+        waves = len(effect.shapes) == 1 and p.effect.shapes[0].scan is not None
+        own = ShapeRange(ranges.lower[effect.shapes], ranges.upper[effect.shapes])
+        found.append(Member(effect, _waves(design, p, own) if waves else _grid(p, own), waves))
+    return sorted(found, key=lambda member: member.effect.placement.label)
 
 
 def _grid(placement: Placement, ranges: ShapeRange) -> Array:

@@ -258,22 +258,45 @@ def refine_shapes(design: Design, start: Array, links: Array | None, noise: Arra
 
 def shape_columns(design: Design, values: Array, shapes: Array, links: Array | None) -> list[Array]:
     """Return ∂torque/∂shapes per joint (R, s), N·m per unit of each shape."""
-    coefficients = values[design.varying]
     here = design.varying_rows(shapes, links)
     steps = STEP * ShapeRange.of(design.model.shapes).slope(shapes)
+    fitted = np.array([shape.fitted for shape in design.model.shapes], dtype=bool)
     derivatives = [np.zeros((len(rows), len(shapes))) for rows in here]
+    for alike in design.alike.values():
+        if not len(alike[0].shapes):
+            continue
+        own = np.array([e.shapes for e in alike])
+        moved = shapes[own][:, None] + steps[own][:, None] * np.eye(own.shape[1])
+        for e, columns in zip(alike, design.joint_columns(alike, moved, links), strict=True):
+            j = e.placement.joint
+            change = (columns - here[j][:, None, e.at]) @ values[e.columns]
+            derivatives[j][:, e.shapes] = np.where(fitted[e.shapes], change / steps[e.shapes], 0.0)
+    if design.of_arm and links is not None:
+        _add_changes_of_the_arm(design, derivatives, values, shapes, steps * fitted, links)
+    return derivatives
+
+
+def _add_changes_of_the_arm(
+    design: Design,
+    derivatives: list[Array],
+    values: Array,
+    shapes: Array,
+    steps: Array,
+    links: Array,
+) -> None:
+    """Add those by columns along the arm: a limit of torque changes what a delay does, too."""
+    here, joints = design.arm_rows(shapes, links), [s.joint for s in design.model.shapes]
+    on = np.array([e.placement.joint for e in design.of_arm for _ in e.columns])
+    own = np.concatenate([values[e.columns] for e in design.of_arm])
     for members in _same_shape_groups(design):
         step = np.zeros(len(shapes))
         step[members] = steps[members]
-        moved = design.varying_rows(shapes + step, links)
-        for k in members:
-            if not design.model.shapes[k].fitted:
-                continue
-            j = design.model.shapes[k].joint
-            own = design.columns_on(j)  # a limit of torque changes what a delay does, too
-            change = (moved[j] - here[j])[:, own] / step[k]
-            derivatives[j][:, k] = change @ coefficients[own]
-    return derivatives
+        if step.any():
+            moved = design.arm_rows(shapes + step, links)
+            for k in (k for k in members if step[k]):
+                j = joints[k]
+                coefficients = np.where(on == j, own, 0.0)
+                derivatives[j][:, k] += (moved[j] - here[j]) @ coefficients / step[k]
 
 
 def _weighted_problem(

@@ -60,9 +60,9 @@ def shape_intervals(design: Design, state: FitState, covariance: Array) -> Shape
     slowest, first, model = _slowest_growth(state), state.rows.count, design.model
     ranges = resolved_range(design)
     for number, member in enumerate(scan.members):
-        for own, k in enumerate(member.shapes):
+        for own, k in enumerate(member.effect.shapes):
             variance = float(covariance[first + k, first + k])
-            numbers = [first + k, *member.columns]
+            numbers = [first + k, *member.effect.columns]
             alone = np.diag(independent)[numbers]
             ratios = np.diag(covariance)[numbers] / np.where(alone > 0.0, alone, np.inf)
             growth = max(float(ratios.max()), 1.0)
@@ -92,7 +92,9 @@ class _Profile:
     def __init__(self, scan: ShapeScan, state: FitState, rows: Rows, number: int, own: int) -> None:
         self._scan, self._state, self._number, self._own = scan, state, number, own
         self._member = scan.members[number]
-        self._projection = WeightedProjection(rows, self._member.columns, state.weighting.noise)
+        self._projection = WeightedProjection(
+            rows, self._member.effect.columns, state.weighting.noise
+        )
         self._least = self._projection.falls(
             self._projection.present(self._member, state.rows), []
         )[0]
@@ -100,7 +102,7 @@ class _Profile:
     def excess(self, near: Array) -> tuple[Array, Array]:
         """Return values (G,) over the range and near the fit, ascending, and the excess there."""
         state, member = self._state, self._member
-        if len(member.shapes) == 1:
+        if len(member.effect.shapes) == 1:
             grid = member.grid[:, 0]
             columns = self._scan.grid_columns(self._number, state.shapes, state.parameters)
             over = self._projection.falls(self._projection.trial(columns), [])
@@ -114,7 +116,7 @@ class _Profile:
     def _falls(self, values: Array) -> Array:
         """Return the fall of the cost at values (G,) of the shape, others as fitted."""
         state, member = self._state, self._member
-        tried = np.tile(state.shapes[member.shapes], (len(values), 1))
+        tried = np.tile(state.shapes[member.effect.shapes], (len(values), 1))
         tried[:, self._own] = values
         columns = self._scan.columns(self._number, tried, state.shapes, state.parameters)
         return self._projection.falls(self._projection.trial(columns), [])

@@ -1,8 +1,8 @@
-"""Columns of effects along processed segments, evaluated on arrays without compiling a model.
+"""Effects as functions of signals, evaluated on NumPy arrays without compiling a model.
 
-A search evaluates hundreds of columns once each. Compiling them would take longer than the
-evaluation, and CasADi's virtual machine evaluates samples one by one; here its expressions are
-evaluated on NumPy arrays, operation by operation.
+A search evaluates columns of one effect at many values of its shape parameters. Compiling each
+would take longer than the evaluation, and CasADi's virtual machine evaluates samples one by one;
+here its expressions are evaluated on arrays, operation by operation.
 """
 
 from __future__ import annotations
@@ -17,11 +17,8 @@ import numpy as np
 from scipy.special import erf
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.effects import Effect, Placement, Signals
+from lieid_casadi.effects import Effect, Signals
 from lieid_casadi.expressions.model_functions import ramp
-from lieid_casadi.identification import Fit
-from lieid_casadi.identification.regression.segment_columns import ModelAlongSegment, model_along
-from lieid_casadi.recording import Processed
 
 OWN = ("q", "dq", "ddq", "sign", "load", "temperature", "time", "command_error")
 
@@ -32,49 +29,15 @@ def signals_of(own: Mapping[str, ca.SX]) -> Signals:
     return Signals(q, dq, ddq, sign, load, temperature, time, command_error=error)
 
 
-@dataclass(frozen=True, eq=False)
-class SegmentSignals:
-    """The signals that effects depend on, along one segment."""
-
-    segment: Processed
-    #: by signal: (K, n) at its instants
-    values: dict[str, Array]
-    #: for effects that are computed along the whole segment
-    arm: ModelAlongSegment
-
-    @classmethod
-    def of(cls, fit: Fit, segment: Processed, *, model_fixed: bool = False) -> SegmentSignals:
-        """Return the signals of a segment; the load is that of the fit.
-
-        If the model is not fitted again, its friction at starts and stops does not adapt to the
-        segment, and friction at rest counts as unknown.
-        """
-        arm = model_along(fit.compiled, segment, fit.shapes, fit.parameters)
-        arm = replace(arm, unknown_at_rest=model_fixed)
-        load = arm.load
-        shape = segment.q.shape
-        temperature, error = segment.temperature, arm.late_error
-        time = np.broadcast_to((segment.t - segment.t[0])[:, None], shape)
-        return cls(
-            segment,
-            {
-                "q": segment.q,
-                "dq": segment.dq,
-                "ddq": segment.ddq,
-                "sign": _sign()(segment.dq, segment.dead_zone)[0],
-                "load": load,
-                "temperature": np.zeros(shape) if temperature is None else temperature,
-                "time": np.array(time),
-                "command_error": np.zeros(shape) if error is None else error,
-            },
-            arm,
-        )
-
-
 @cache
 def _sign() -> ArrayFunction:
     dq, width = ca.SX.sym("dq"), ca.SX.sym("width")
     return ArrayFunction([dq, width], [ramp(dq, width)])
+
+
+def sign_of(dq: Array, dead_zone: Array) -> Array:
+    """Return the sign of velocities (K, n), which changes gradually over a dead zone (n,)."""
+    return np.asarray(_sign()(dq, dead_zone)[0])
 
 
 @dataclass(frozen=True)
@@ -89,33 +52,12 @@ class _Further:
 
 
 class EffectFunction:
-    """One effect as a function of the signals of one joint (two, for couplings)."""
+    """One effect as a function of the signals of its joint, and of others that it reads."""
 
     def __init__(self, effect: Effect) -> None:
         self.effect = effect
-        self._own = {name: ca.SX.sym(name) for name in OWN}
-        self._other = {name: ca.SX.sym(f"other_{name}") for name in OWN}
-        self._further = [{name: ca.SX.sym(f"{name}_{j}") for name in OWN} for j in effect.joints]
-        self._shapes = [ca.SX.sym(shape.name) for shape in effect.shapes]
-        self._states = [ca.SX.sym(state.name) for state in effect.states]
-
-    @cached_property
-    def _columns(self) -> ArrayFunction:
-        further = [symbol for joint in self._further for symbol in joint.values()]
-        inputs = [
-            *self._own.values(), *self._other.values(), *further, *self._shapes, *self._states
-        ]  # fmt: skip
-        return ArrayFunction(inputs, self.effect.columns(self._signals(), self._shape))
-
-    @property
-    def _shape(self) -> dict[str, ca.SX]:
-        return {s.name: x for s, x in zip(self.effect.shapes, self._shapes, strict=True)}
-
-    def _signals(self) -> Signals:
-        state = {s.name: x for s, x in zip(self.effect.states, self._states, strict=True)}
-        other = signals_of(self._other) if self.effect.couples else None
-        further = {j: signals_of(f) for j, f in zip(self.effect.joints, self._further, strict=True)}
-        return replace(signals_of(self._own), other=other, state=state, every=_Further(further))
+        self._shape = {shape.name: ca.SX.sym(shape.name) for shape in effect.shapes}
+        self._state = {state.name: ca.SX.sym(state.name) for state in effect.states}
 
     def at(self, values: Mapping[str, Array], grid: Array) -> Array:
         """Return the columns (c, N, G) of an effect with one shape parameter (G,)."""
@@ -125,64 +67,88 @@ class EffectFunction:
         return np.array([np.broadcast_to(x, shape) for x in results])
 
     def columns(
-        self, signals: SegmentSignals, places: Sequence[tuple[int, int | None]], grid: Array
+        self, values: Mapping[str, Array], places: Sequence[tuple[int, int | None]], grid: Array
     ) -> Array:
         """Return the columns (K, places, G, c), not filtered.
 
-        ``places`` are joints and sources (None except for couplings); the grid is (G, s).
+        ``values`` are signals (K, n) by name, ``places`` joints and sources (None except for
+        couplings); the grid is (G, s), or (places, G, s) with other values at each place.
         """
-        own = [signals.values[name][:, [j for j, _ in places], None] for name in OWN]
-        other = own
-        if self.effect.couples:
-            other = [signals.values[name][:, [s or 0 for _, s in places], None] for name in OWN]
-        states = states_along(self.effect, own, grid) if self.effect.states else []
-        further = [signals.values[name][:, [j], None] for j in self.effect.joints for name in OWN]
-        results = self._columns(*own, *other, *further, *grid.T, *states)
-        shape = (len(signals.segment), len(places), len(grid))
+        shapes, signals = np.moveaxis(grid, -1, 0), self._arrays(values, places)
+        states = self._states(signals, shapes, (len(signals[0]), len(places), grid.shape[-2]))
+        results = self._columns(*signals, *shapes, *states)
+        shape = (len(signals[0]), len(places), grid.shape[-2])
         return np.stack([np.broadcast_to(x, shape) for x in results], axis=-1)
 
+    @cached_property
+    def _columns(self) -> ArrayFunction:
+        signals, symbols = self._signals(self._state)
+        inputs = [*symbols, *self._shape.values(), *self._state.values()]
+        return ArrayFunction(inputs, self.effect.columns(signals, self._shape))
 
-def columns_along(
-    function: EffectFunction, signals: SegmentSignals, placements: Sequence[Placement], grid: Array
-) -> Array:
-    """Return filtered columns (M, places, G, c) of one effect with shape parameters (G, s)."""
-    places = [(p.joint, p.source) for p in placements]
-    raw = function.columns(signals, places, grid)
-    return signals.segment.filter(raw.reshape(len(raw), -1)).reshape(-1, *raw.shape[1:])
+    def _signals(self, state: Mapping[str, ca.SX]) -> tuple[Signals, list[ca.SX]]:
+        """Return the signals of a place, and their symbols in the order of `_arrays`."""
+        own, other, *further = (_symbols(OWN) for _ in range(2 + len(self.effect.joints)))
+        signals = replace(
+            signals_of(own),
+            other=signals_of(other) if self.effect.couples else None,
+            state=dict(state),
+            every=_Further(dict(zip(self.effect.joints, map(signals_of, further), strict=True))),
+        )
+        return signals, [symbol for each in (own, other, *further) for symbol in each.values()]
 
+    def _arrays(
+        self, values: Mapping[str, Array], places: Sequence[tuple[int, int | None]]
+    ) -> list[Array]:
+        """Return the signals (K, places, 1) of the joints, of sources, and of further joints."""
+        own = other = [values[name][:, [j for j, _ in places], None] for name in OWN]
+        if self.effect.couples:
+            other = [values[name][:, [s or 0 for _, s in places], None] for name in OWN]
+        further = [values[name][:, [j], None] for j in self.effect.joints for name in OWN]
+        return [*own, *other, *further]
 
-def states_along(effect: Effect, own: Sequence[Array], grid: Array) -> list[Array]:
-    """Return each state along a segment (K, places, G).
+    @cached_property
+    def _step(self) -> tuple[ArrayFunction, list[int] | None]:
+        """The step of the states between samples, and the inputs that it depends on.
 
-    A step x ← a·x + b, of one state that does not depend on the others, is evaluated for all
-    samples at once; any other step sample by sample. ``own`` has the signals `OWN` of the
-    places (K, places, 1), ``grid`` the shape parameters (G, s).
-    """
-    before, now, states = (_symbols(names) for names in (OWN, OWN, [s.name for s in effect.states]))
-    shapes = _symbols([shape.name for shape in effect.shapes])
-    inputs = [*before.values(), *now.values(), *shapes.values()]
-    signals = replace(signals_of(before), state=states), signals_of(now)
-    values = [*(x[:-1] for x in own), *(x[1:] for x in own), *grid.T]
-    size = (len(own[0]), own[0].shape[1], len(grid))
-    initial = [np.full(size[1:], s.initial) for s in effect.states]
-    after = ca.vertcat(*effect.advance(*signals, shapes))
-    every = ca.vertcat(*states.values())
-    factors = ca.jacobian(after, every)
-    apart = (factors - ca.diag(ca.diag(factors))).is_zero()
-    if not apart or ca.depends_on(factors, every):
-        step = ArrayFunction([*states.values(), *inputs], effect.next_states(*signals, shapes))
-        return _step_by_step(step, values, initial, len(own[0]))
-    added = ca.substitute(after, every, ca.DM.zeros(every.shape))
-    found = ArrayFunction(inputs, [*ca.vertsplit(ca.diag(factors)), *ca.vertsplit(added)])(*values)
-    used = [x for symbol, x in zip(inputs, values, strict=True) if ca.depends_on(after, symbol)]
-    finite = np.full((size[0] - 1, *size[1:]), True)
-    for x in (*used, *found):  # as `Effect.next_states`
-        finite &= np.isfinite(x)
-    count = len(initial)
-    return [
-        _recurrence(np.where(finite, a, 1.0), np.where(finite, b, 0.0), x)
-        for a, b, x in zip(found[:count], found[count:], initial, strict=True)
-    ]
+        A step x ← a·x + b, of states that do not depend on each other, is the function of a and b;
+        any other step (no inputs are named) is that of the states after it.
+        """
+        (before, first), (now, second) = self._signals(self._state), self._signals({})
+        every, inputs = [*self._state.values()], [*first, *second, *self._shape.values()]
+        after = ca.vertcat(*self.effect.advance(before, now, self._shape))
+        factors = ca.jacobian(after, ca.vertcat(*every))
+        apart = (factors - ca.diag(ca.diag(factors))).is_zero()
+        if not apart or ca.depends_on(factors, ca.vertcat(*every)):
+            step = self.effect.next_states(before, now, self._shape)
+            return ArrayFunction([*every, *inputs], step), None
+        added = ca.substitute(after, ca.vertcat(*every), ca.DM.zeros(len(every), 1))
+        used = [k for k, symbol in enumerate(inputs) if ca.depends_on(after, symbol)]
+        both = [*ca.vertsplit(ca.diag(factors)), *ca.vertsplit(added)]
+        return ArrayFunction(inputs, both), used
+
+    def _states(
+        self, signals: Sequence[Array], shapes: Array, size: tuple[int, int, int]
+    ) -> list[Array]:
+        """Return each state along a segment (K, places, G).
+
+        A step x ← a·x + b is evaluated for all samples at once, any other sample by sample.
+        """
+        if not self._state:
+            return []
+        values = [*(x[:-1] for x in signals), *(x[1:] for x in signals), *shapes]
+        initial = [np.full(size[1:], state.initial) for state in self.effect.states]
+        step, used = self._step
+        if used is None:
+            return _step_by_step(step, values, initial, size[0])
+        found, count = step(*values), len(initial)
+        finite = np.full((size[0] - 1, *size[1:]), True)
+        for x in (*(values[k] for k in used), *found):  # as `Effect.next_states`
+            finite &= np.isfinite(x)
+        return [
+            _recurrence(np.where(finite, a, 1.0), np.where(finite, b, 0.0), x)
+            for a, b, x in zip(found[:count], found[count:], initial, strict=True)
+        ]
 
 
 def _symbols(names: Sequence[str]) -> dict[str, ca.SX]:
