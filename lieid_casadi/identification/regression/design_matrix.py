@@ -6,7 +6,7 @@ of one robot (`FilteredColumns`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -34,9 +34,11 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording.filtering import Window
 from lieid_casadi.recording.processed import Processed
 
-#: A column on a joint: the joint, and a link parameter, or a placed effect and its coefficient.
-ColumnKey = tuple[int, int | tuple[str, str]]
-#: Filtered columns (M,) of one segment. Models of one robot with different effects share most.
+#: A column on a joint: the joint, and a link parameter, or a placed effect and its coefficient;
+#: or those of a placed effect at values of its shapes, whose bytes are in place of a coefficient.
+ColumnKey = tuple[int, int | tuple[str, str | bytes]]
+#: Filtered columns (M,), those of a grid (M, G, c), of one segment. Models of one robot with
+#: different effects share most.
 FilteredColumns = dict[ColumnKey, Array]
 REVERSAL = 0.5  # periods of the cut-off frequency, for which the filter mixes a reversal with rows
 
@@ -182,6 +184,11 @@ class VaryingEffect:
         return isinstance(self.placement.effect, ArmEffect)
 
 
+def grid_key(own: VaryingEffect, grid: Array) -> ColumnKey:
+    """Return the key of the columns of an effect on a grid."""
+    return own.placement.joint, (own.placement.label, grid.tobytes())
+
+
 def varying_effects(model: Model) -> tuple[VaryingEffect, ...]:
     """Return the effects of a model with columns that depend on shape parameters or on the load."""
     position = {int(k): i for i, k in enumerate(model.base.kept)}
@@ -229,10 +236,10 @@ class Design:
         self._torque = [s.filtered_torque for s in self.segments]
         lengths = [len(use) for use in self._use]
         self._segments = np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
-        stores = known or [FilteredColumns() for _ in self.segments]
+        self._known = known or [FilteredColumns() for _ in self.segments]
         parts = [
             motion_columns(compiled, segment, self.varying, store)
-            for segment, store in zip(self.segments, stores, strict=True)
+            for segment, store in zip(self.segments, self._known, strict=True)
         ]
         self._constant = [
             self.on_joint(j, [part[j].T for part in parts]) for j in range(self.model.n)
@@ -306,8 +313,7 @@ class Design:
 
         The grid is (G, s), or (P, G, s) with other values on each joint.
         """
-        effect, placements = alike[0].placement.effect, [e.placement for e in alike]
-        function = self._functions.setdefault(effect.label, EffectFunction(effect))
+        function, placements = self._function(alike[0]), [e.placement for e in alike]
         signals = self._signals_at(links if alike[0].uses_load else None)
         parts = [
             filtered_columns(function, segment, own, placements, grid)
@@ -317,6 +323,28 @@ class Design:
             self.on_joint(e.placement.joint, [p[:, k][..., e.kept] for p in parts])
             for k, e in enumerate(alike)
         ]
+
+    def grid_columns(self, own: VaryingEffect, grid: Array) -> Array:
+        """Return the columns (R, G, c) of an effect without load on a grid; they are ``known``."""
+        key, function = grid_key(own, grid), self._function(own)
+        for segment, signals, store in zip(self.segments, self._signals, self._known, strict=True):
+            if key not in store:
+                columns = filtered_columns(function, segment, signals, [own.placement], grid)
+                store[key] = columns[:, 0]
+        return self.on_joint(key[0], [store[key][..., own.kept] for store in self._known])
+
+    def forget_other_grids(self, keys: Collection[ColumnKey]) -> None:
+        """Forget the columns of grids but those with some keys, which bounds the memory."""
+        for store in self._known:
+            of_grids = [k for k in store if isinstance(k[1], tuple) and isinstance(k[1][1], bytes)]
+            for key in set(of_grids).difference(keys):
+                del store[key]
+
+    def _function(self, own: VaryingEffect) -> EffectFunction:
+        effect = own.placement.effect
+        if effect.label not in self._functions:
+            self._functions[effect.label] = EffectFunction(effect)
+        return self._functions[effect.label]
 
     @cached_property
     def _signals(self) -> list[dict[str, Array]]:

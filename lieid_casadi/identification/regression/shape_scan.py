@@ -24,7 +24,11 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects import ArmEffect, Placement
-from lieid_casadi.identification.regression.design_matrix import Design, VaryingEffect
+from lieid_casadi.identification.regression.design_matrix import (
+    Design,
+    VaryingEffect,
+    grid_key,
+)
 from lieid_casadi.identification.regression.least_squares import (
     RANK_TOLERANCE,
     Rows,
@@ -86,7 +90,7 @@ class ShapeScan:
         self.design = design
         self._ranges = ranges
         self.members = _members(design, ranges)
-        self._kept: dict[int, tuple[bytes | None, Columns]] = {}
+        design.forget_other_grids({grid_key(m.effect, m.grid) for m in self.members})
 
     def found(
         self, rows: Rows, shapes: Array, links: Array | None, noise: Array, *, afresh: bool
@@ -129,13 +133,10 @@ class ShapeScan:
 
     def grid_columns(self, k: int, shapes: Array, links: Array | None) -> Columns:
         """Return the columns of member k on its whole grid."""
-        member = self.members[k]
-        if member.effect.of_arm:
-            return self.columns(k, member.grid, shapes, links)
-        key = None if not member.effect.uses_load or links is None else links.tobytes()
-        if self._kept.get(k, (b"", {}))[0] != key:
-            self._kept[k] = key, self.columns(k, member.grid, shapes, links)
-        return self._kept[k][1]
+        effect, grid = self.members[k].effect, self.members[k].grid
+        if effect.uses_load:
+            return self.columns(k, grid, shapes, links)
+        return {effect.placement.joint: _stacked(self.design.grid_columns(effect, grid))}
 
     def _arm_columns(
         self, own: VaryingEffect, values: Array, shapes: Array, links: Array | None
