@@ -74,11 +74,11 @@ class EffectFunction:
         ``values`` are signals (K, n) by name, ``places`` joints and sources (None except for
         couplings); the grid is (G, s), or (places, G, s) with other values at each place.
         """
-        shapes, signals = np.moveaxis(grid, -1, 0), self._arrays(values, places)
-        states = self._states(signals, shapes, (len(signals[0]), len(places), grid.shape[-2]))
-        results = self._columns(*signals, *shapes, *states)
-        shape = (len(signals[0]), len(places), grid.shape[-2])
-        return np.stack([np.broadcast_to(x, shape) for x in results], axis=-1)
+        shapes, signals = np.moveaxis(grid, -1, 0)[..., None], self._arrays(values, places)
+        size = (len(places), grid.shape[-2], signals[0].shape[-1])
+        results = self._columns(*signals, *shapes, *self._states(signals, shapes, size))
+        # time is the last axis in memory: operations and filters are then fast
+        return np.moveaxis(np.stack([np.broadcast_to(x, size) for x in results], axis=2), -1, 0)
 
     @cached_property
     def _columns(self) -> ArrayFunction:
@@ -100,11 +100,11 @@ class EffectFunction:
     def _arrays(
         self, values: Mapping[str, Array], places: Sequence[tuple[int, int | None]]
     ) -> list[Array]:
-        """Return the signals (K, places, 1) of the joints, of sources, and of further joints."""
-        own = other = [values[name][:, [j for j, _ in places], None] for name in OWN]
+        """Return the signals (places, 1, K) of the joints, of sources, and of further joints."""
+        own = other = [values[name].T[[j for j, _ in places], None] for name in OWN]
         if self.effect.couples:
-            other = [values[name][:, [s or 0 for _, s in places], None] for name in OWN]
-        further = [values[name][:, [j], None] for j in self.effect.joints for name in OWN]
+            other = [values[name].T[[s or 0 for _, s in places], None] for name in OWN]
+        further = [values[name].T[[j], None] for j in self.effect.joints for name in OWN]
         return [*own, *other, *further]
 
     @cached_property
@@ -130,19 +130,19 @@ class EffectFunction:
     def _states(
         self, signals: Sequence[Array], shapes: Array, size: tuple[int, int, int]
     ) -> list[Array]:
-        """Return each state along a segment (K, places, G).
+        """Return each state along a segment (places, G, K).
 
         A step x ← a·x + b is evaluated for all samples at once, any other sample by sample.
         """
         if not self._state:
             return []
-        values = [*(x[:-1] for x in signals), *(x[1:] for x in signals), *shapes]
-        initial = [np.full(size[1:], state.initial) for state in self.effect.states]
+        values = [*(x[..., :-1] for x in signals), *(x[..., 1:] for x in signals), *shapes]
+        initial = [np.full(size[:2], state.initial) for state in self.effect.states]
         step, used = self._step
         if used is None:
-            return _step_by_step(step, values, initial, size[0])
+            return _step_by_step(step, values, initial, size[2])
         found, count = step(*values), len(initial)
-        finite = np.full((size[0] - 1, *size[1:]), True)
+        finite = np.full((*size[:2], size[2] - 1), True)
         for x in (*(values[k] for k in used), *found):  # as `Effect.next_states`
             finite &= np.isfinite(x)
         return [
@@ -156,44 +156,44 @@ def _symbols(names: Sequence[str]) -> dict[str, ca.SX]:
 
 
 def _recurrence(a: Array, b: Array, initial: Array) -> Array:
-    """Return x (K + 1, …) with x[k + 1] = a[k]·x[k] + b[k], for a and b (K, …).
+    """Return x (…, K + 1) with x[…, k + 1] = a[…, k]·x[…, k] + b[…, k], for a and b (…, K).
 
     The steps are composed within blocks of √K samples, in all blocks at once; then the blocks are
     linked.
     """
-    steps = len(a)
+    steps = a.shape[-1]
     block = max(int(np.sqrt(steps)), 1)
     blocks = -(-steps // block)
-    padding = ((0, blocks * block - steps), *[(0, 0)] * (a.ndim - 1))
-    shape = (blocks, block, *a.shape[1:])
+    padding = (*[(0, 0)] * (a.ndim - 1), (0, blocks * block - steps))
+    shape = (*a.shape[:-1], blocks, block)
     factor = np.pad(a, padding, constant_values=1.0).reshape(shape)
     added = np.pad(b, padding).reshape(shape)
     for k in range(1, block):
-        added[:, k] += factor[:, k] * added[:, k - 1]
-        factor[:, k] *= factor[:, k - 1]
-    first = np.empty((blocks, *a.shape[1:]))
-    last = initial
+        added[..., k] += factor[..., k] * added[..., k - 1]
+        factor[..., k] *= factor[..., k - 1]
+    first, last = np.empty(shape[:-1]), initial
     for k in range(blocks):
-        first[k], last = last, factor[k, -1] * last + added[k, -1]
-    x = (factor * first[:, None] + added).reshape(-1, *a.shape[1:])
-    return np.concatenate([initial[None], x[:steps]])
+        first[..., k], last = last, factor[..., k, -1] * last + added[..., k, -1]
+    x = (factor * first[..., None] + added).reshape(*shape[:-2], -1)
+    return np.concatenate([initial[..., None], x[..., :steps]], axis=-1)
 
 
 def _step_by_step(
     step: ArrayFunction, values: Sequence[Array], initial: Sequence[Array], samples: int
 ) -> list[Array]:
-    """Return each state (K, places, G), from a function of the states and the inputs of a step.
+    """Return each state (places, G, K), from a function of the states and the inputs of a step.
 
-    ``values`` are signals before and after each step (K − 1, places, 1), and shape parameters (G,).
+    ``values`` are signals before and after each step (places, 1, K − 1), and shape parameters,
+    which are the same in all steps (…, G, 1).
     """
-    states = [np.empty((samples, *x.shape)) for x in initial]
+    states = [np.empty((*x.shape, samples)) for x in initial]
     for state, x in zip(states, initial, strict=True):
-        state[0] = x
+        state[..., 0] = x
     for k in range(samples - 1):
-        inputs = [x[k] if x.ndim == 3 else x for x in values]
-        after = step(*(state[k] for state in states), *inputs)
+        inputs = [x[..., min(k, x.shape[-1] - 1)] for x in values]
+        after = step(*(state[..., k] for state in states), *inputs)
         for state, x in zip(states, after, strict=True):
-            state[k + 1] = x
+            state[..., k + 1] = x
     return states
 
 

@@ -11,12 +11,15 @@ from scipy.optimize import approx_fprime, least_squares
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import BoundWarning
+from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.least_squares import combine, solve
+from lieid_casadi.identification.regression.shape_refinement import RefinementProblem
 from lieid_casadi.identification.regression.variable_projection import (
     SeparableProblem,
     ShapeRange,
     minimize_shapes,
 )
-from lieid_casadi.recording import Processing
+from lieid_casadi.recording import Processing, process
 
 ROBOT = lieid.robots.two_link()
 OPTIONS = Processing(cutoff=8.0)
@@ -99,16 +102,13 @@ RANGES = ShapeRange(np.array([0.05, 0.0]), np.array([5.0, 6.0]))  # logarithmic,
 
 def columns(shapes):
     decay, frequency = shapes
-    return np.column_stack([np.exp(-decay * X), np.sin(frequency * X)])
+    return np.column_stack([np.exp(-decay * X), np.sin(frequency * X), X])
 
 
 def problem(**options):
     random = np.random.default_rng(0)
-    target = columns([0.8, 2.3]) @ [2.0, -0.5] + 0.3 * X + 0.02 * random.standard_normal(len(X))
-    fixed, _ = np.linalg.qr(X[:, None])
-    return SeparableProblem(
-        columns=columns, target=target, ranges=RANGES, **{"fixed": fixed, **options}
-    )
+    target = columns([0.8, 2.3]) @ [2.0, -0.5, 0.3] + 0.02 * random.standard_normal(len(X))
+    return SeparableProblem(columns=columns, target=target, ranges=RANGES, **options)
 
 
 def test_the_minimum_is_that_over_all_parameters():
@@ -116,24 +116,53 @@ def test_the_minimum_is_that_over_all_parameters():
     shapes = minimize_shapes(separable, np.array([1.5, 2.0]), xtol=1e-10, ftol=1e-12)
 
     def residual(parameters):
-        return separable.target - columns(parameters[:2]) @ parameters[2:4] - parameters[4] * X
+        return separable.target - columns(parameters[:2]) @ parameters[2:]
 
     joint = least_squares(residual, [0.8, 2.3, 2.0, -0.5, 0.3], xtol=1e-12)
     np.testing.assert_allclose(shapes, joint.x[:2], rtol=1e-4)
-    np.testing.assert_allclose(separable.solve(shapes).coefficients, joint.x[2:4], rtol=1e-4)
+    np.testing.assert_allclose(separable.solve(shapes).coefficients, joint.x[2:], rtol=1e-4)
     assert np.sum(separable.solve(shapes).residual ** 2) == pytest.approx(2.0 * joint.cost)
 
 
 @pytest.mark.parametrize("upper", [np.inf, 1.5])
 def test_the_gradient_of_the_cost_follows_from_the_jacobian(upper):
     """2·Jᵀr is exact at any shapes, also with a coefficient at its bound."""
-    separable = problem(bounds=(np.full(2, -np.inf), np.full(2, upper)))
+    separable = problem(bounds=(np.full(3, -np.inf), np.full(3, upper)))
     shapes = np.array([1.1, 2.0])
     solution = separable.solve(shapes)
     assert np.isclose(solution.coefficients, upper).any() == np.isfinite(upper)
     gradient = 2.0 * separable.jacobian(shapes, solution).T @ solution.residual
     expected = approx_fprime(shapes, lambda s: np.sum(separable.solve(s).residual ** 2), 1e-6)
     np.testing.assert_allclose(gradient, expected, rtol=2e-3)
+
+
+EFFECTS = {
+    "joint": "coulomb,viscous,presliding/load:2,stribeck/exponent:1+2,position_friction:1",
+    "arm": "coulomb,viscous,stribeck:1+2,torque_lowpass:2,encoder_offset",
+}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_the_refinement_has_the_cost_of_all_rows_and_its_gradient(name):
+    model = lieid.Model(ROBOT, EFFECTS[name])
+    design = Design(lieid.compile(model), process(recorded(ripple), OPTIONS))
+    links, noise = np.zeros(20 + len(model.columns)), np.array([0.2, 0.7])
+    links[:20] = ROBOT.link_parameters
+    rows = design.rows(model.initial_shapes, links)
+    refinement = RefinementProblem(design, rows, model.initial_shapes, links, noise)
+
+    def cost(shapes):
+        rows = design.rows(shapes, links)
+        factor = combine(rows.factors, 1.0 / noise)
+        return factor.misfit(solve(factor).values)
+
+    for shapes in (model.initial_shapes, 0.7 * model.initial_shapes):
+        found = refinement.solve(shapes)
+        assert found.residual @ found.residual == pytest.approx(cost(shapes), rel=1e-9)
+        gradient = 2.0 * refinement.jacobian(shapes, found).T @ found.residual
+        steps = 1e-4 * shapes * np.eye(len(shapes))
+        expected = [(cost(shapes + h) - cost(shapes - h)) / (2.0 * h.sum()) for h in steps]
+        np.testing.assert_allclose(gradient * shapes, expected * shapes, rtol=0.02, atol=1e-2)
 
 
 @pytest.fixture(scope="module")

@@ -234,6 +234,7 @@ class Design:
         self._active = active_columns(compiled)
         self._use = [usable_rows(self.model, s) for s in self.segments]
         self._torque = [s.filtered_torque for s in self.segments]
+        self.lengths = np.sum([use.sum(axis=0) for use in self._use], axis=0)  # rows per joint (n,)
         lengths = [len(use) for use in self._use]
         self._segments = np.concatenate([[0], np.cumsum(lengths)]).astype(np.intp)
         self._known = known or [FilteredColumns() for _ in self.segments]
@@ -281,8 +282,7 @@ class Design:
 
     def varying_rows(self, shapes: Array, link_parameters: Array | None) -> list[Array]:
         """Return the varying columns per joint (R, v), with the rows of `rows`."""
-        counts = [sum(int(use[:, j].sum()) for use in self._use) for j in range(self.model.n)]
-        found = [np.zeros((count, len(self.varying))) for count in counts]
+        found = [np.zeros((int(count), len(self.varying))) for count in self.lengths]
         for alike in self.alike.values():
             here = self._present(alike, shapes, link_parameters)
             for effect, columns in zip(alike, here, strict=True):
@@ -297,14 +297,33 @@ class Design:
         self, alike: Sequence[VaryingEffect], shapes: Array, links: Array | None
     ) -> list[Array]:
         """Return the columns (R, c) of one effect on each of its joints; the last ones are kept."""
-        label = alike[0].placement.effect.label
-        own = np.array([shapes[effect.shapes] for effect in alike])
-        load = None if links is None or not alike[0].uses_load else links[: 10 * self.model.n]
-        key = own.tobytes(), None if load is None else load.tobytes()
+        label, key = alike[0].placement.effect.label, self._key(alike, shapes, links)
         if label not in self._last or self._last[label][0] != key:
-            columns = self.joint_columns(alike, own[:, None], links)
+            grid = np.array([shapes[effect.shapes] for effect in alike])[:, None]
+            columns = self.joint_columns(alike, grid, links)
             self._last[label] = key, [each[:, 0] for each in columns]
         return self._last[label][1]
+
+    def slopes(
+        self, alike: Sequence[VaryingEffect], shapes: Array, steps: Array, links: Array | None
+    ) -> list[Array]:
+        """Return the derivatives (R, s, c) of columns by their shapes, by steps forward (s,)."""
+        own = np.array([e.shapes for e in alike])
+        moves = np.vstack([np.zeros(own.shape[1]), np.eye(own.shape[1])])
+        grid = shapes[own][:, None] + steps[own][:, None] * moves
+        columns = self.joint_columns(alike, grid, links)
+        here = self._key(alike, shapes, links), [each[:, 0] for each in columns]
+        self._last[alike[0].placement.effect.label] = here
+        pairs = zip(alike, columns, strict=True)
+        return [(x[:, 1:] - x[:, :1]) / steps[e.shapes, None] for e, x in pairs]
+
+    def _key(
+        self, alike: Sequence[VaryingEffect], shapes: Array, links: Array | None
+    ) -> tuple[bytes, bytes | None]:
+        """Return what the columns of one effect depend on."""
+        own = np.concatenate([shapes[effect.shapes] for effect in alike])
+        load = None if links is None or not alike[0].uses_load else links[: 10 * self.model.n]
+        return own.tobytes(), None if load is None else load.tobytes()
 
     def joint_columns(
         self, alike: Sequence[VaryingEffect], grid: Array, links: Array | None

@@ -23,9 +23,9 @@ from lieid_casadi.identification.regression.least_squares import (
     ols,
     solve,
 )
+from lieid_casadi.identification.regression.shape_refinement import refine_shapes
 from lieid_casadi.identification.regression.shape_scan import ShapeScan
 from lieid_casadi.identification.regression.variable_projection import (
-    refine_shapes,
     resolved_range,
     shapes_of_data,
 )
@@ -105,9 +105,8 @@ class _Search:
             shapes = self.scan.found(state.rows, state.shapes, links, noise, afresh=True)
             self._scans = 1
         self._start = None
-        shapes = refine_shapes(
-            self._design, state.shapes if shapes is None else shapes, links, noise
-        )
+        start = state.shapes if shapes is None else shapes
+        shapes = refine_shapes(self._design, state.rows, start, links, noise)
         return _state(self._design, estimator, shapes, links)
 
     def confirms(self, state: FitState, links: Array | None) -> bool:

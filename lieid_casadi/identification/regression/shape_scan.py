@@ -176,31 +176,42 @@ class WeightedProjection:
     """The weighted regression on the columns that depend on no fitted shape."""
 
     def __init__(self, rows: Rows, varying: NDArray[np.intp], noise: Array) -> None:
-        self.weights = 1.0 / noise
+        self.weights, self._rows = 1.0 / noise, rows
         fixed = np.setdiff1d(np.arange(rows.count), varying)
         factor = combine(joint_factors(rows), self.weights)
-        r = factor.r[:, fixed]
+        r, z = factor.r[:, fixed], factor.r[:, -1]
         scaled, scale = unit_columns(r)
         u, sizes, vt = np.linalg.svd(scaled, full_matrices=False)
         used = sizes > RANK_TOLERANCE * sizes.max(initial=0.0)
-        basis = np.zeros((rows.count, int(used.sum())))
-        basis[fixed] = (vt[used].T / sizes[used]) / scale[:, None]
-        values = basis @ (u[:, used].T @ factor.r[:, -1])
-        self.residuals, self.bases = [], []
-        for joint, weight in zip(rows.joints, self.weights, strict=True):
-            self.residuals.append(weight * (joint.torque - joint.matrix @ values[joint.columns]))
-            self.bases.append(weight * (joint.matrix @ basis[joint.columns]))
-        self.cost = float(sum(np.sum(e**2) for e in self.residuals))
+        self._axes = np.zeros((rows.count, int(used.sum())))
+        self._axes[fixed] = (vt[used].T / sizes[used]) / scale[:, None]
+        along = u[:, used].T @ z
+        self._values, self.cost = self._axes @ along, float(z @ z - along @ along)
+        self._joints: dict[int, tuple[Array, Array]] = {}
+
+    @property
+    def count(self) -> int:
+        """Number of vectors of the basis."""
+        return int(self._axes.shape[1])
+
+    def joint(self, j: int) -> tuple[Array, Array]:
+        """Return the weighted residual (R,) of a joint, and its rows of a basis (R, f)."""
+        if j not in self._joints:
+            own, weight = self._rows.joints[j], self.weights[j]
+            basis = weight * (own.matrix @ self._axes[own.columns])
+            self._joints[j] = weight * own.residual(self._values), basis
+        return self._joints[j]
 
     def trial(self, columns: Columns) -> Trial:
         """Return a trial of columns."""
         count, width, _ = next(iter(columns.values())).shape
-        along = np.zeros((count, width, self.bases[0].shape[1]))
+        along = np.zeros((count, width, self.count))
         square, target = np.zeros((count, width, width)), np.zeros((count, width))
         for j, values in columns.items():
+            residual, basis = self.joint(j)
             flat = values.reshape(count * width, -1)
-            along += self.weights[j] * (flat @ self.bases[j]).reshape(along.shape)
-            target += self.weights[j] * (flat @ self.residuals[j]).reshape(target.shape)
+            along += self.weights[j] * (flat @ basis).reshape(along.shape)
+            target += self.weights[j] * (flat @ residual).reshape(target.shape)
             square += self.weights[j] ** 2 * (values @ values.swapaxes(1, 2))
         return Trial(columns, along, square - along @ along.swapaxes(1, 2), target)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from scipy.optimize import least_squares, lsq_linear
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects.effect import DataRange, Shape
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.least_squares import Rows, unit_columns
+from lieid_casadi.identification.regression.least_squares import Indices
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Processed
 
@@ -128,20 +129,13 @@ class SeparableProblem:
     columns: Callable[[Array], Array]  # shapes (s,) to weighted columns (R, v)
     target: Array  # (R,): weighted
     ranges: ShapeRange  # of the s shapes
-    #: (R, f): orthonormal basis of the columns that do not depend on the shapes. Their
-    #: coefficients have no bounds
-    fixed: Array | None = None
-    #: shapes (s,) and coefficients (v,) to ∂(columns·coefficients)/∂shapes (R, s); by forward
-    #: differences if left out
-    slopes: Callable[[Array, Array], Array] | None = None
     bounds: tuple[Array, Array] | None = None  # lower and upper bounds of the coefficients
     #: columns whose norm is at most this part of the largest get the coefficient zero
     negligible: float = 0.0
 
     def solve(self, shapes: Array) -> ProjectedSolution:
         """Return the best coefficients at given shapes (s,)."""
-        target = self._projected(self.target)
-        columns = self._projected(self.columns(shapes))
+        target, columns = self.target, self.columns(shapes)
         scale = np.linalg.norm(columns, axis=0)
         scale[scale <= self.negligible * scale.max(initial=0.0)] = np.inf
         basis, triangle = np.linalg.qr(columns / scale)
@@ -157,13 +151,8 @@ class SeparableProblem:
 
     def jacobian(self, shapes: Array, solution: ProjectedSolution) -> Array:
         """Return ∂residual/∂shapes ≈ −(1 − QQᵀ)·(∂columns/∂shapes)·c (R, s), after Kaufman."""
-        slopes = self._projected(self._slopes(shapes, solution.coefficients))
+        slopes = forward_differences(self.columns, self.ranges, shapes, solution.coefficients)
         return np.asarray(solution.basis @ (solution.basis.T @ slopes) - slopes)
-
-    def _projected(self, values: Array) -> Array:
-        if self.fixed is None:
-            return values
-        return np.asarray(values - self.fixed @ (self.fixed.T @ values))
 
     def _within_bounds(self, coefficients: Array) -> bool:
         if self.bounds is None:
@@ -179,14 +168,23 @@ class SeparableProblem:
         basis, _ = np.linalg.qr((columns / scale)[:, found.active_mask == 0])
         return ProjectedSolution(coefficients, target - columns @ coefficients, basis)
 
-    def _slopes(self, shapes: Array, coefficients: Array) -> Array:
-        if self.slopes is not None:
-            return self.slopes(shapes, coefficients)
-        return forward_differences(self.columns, self.ranges, shapes, coefficients)
+
+class ShapeProblem(Protocol):
+    """A least-squares problem in shapes alone."""
+
+    @property
+    def ranges(self) -> ShapeRange:
+        """Ranges of the shapes."""
+
+    def solve(self, shapes: Array) -> Any:
+        """Return what is known at given shapes: the ``residual``, and what `jacobian` needs."""
+
+    def jacobian(self, shapes: Array, solution: Any) -> Array:
+        """Return ∂residual/∂shapes."""
 
 
 def minimize_shapes(
-    problem: SeparableProblem,
+    problem: ShapeProblem,
     start: Array,
     *,
     xtol: float = 1e-6,
@@ -198,9 +196,9 @@ def minimize_shapes(
     Trust-region least squares on the places of the shapes in their ranges.
     """
     ranges = problem.ranges
-    latest: dict[bytes, ProjectedSolution] = {}  # residual and Jacobian share one solution
+    latest: dict[bytes, Any] = {}  # residual and Jacobian share one solution
 
-    def solution(place: Array) -> ProjectedSolution:
+    def solution(place: Array) -> Any:
         key = place.tobytes()
         if key not in latest:
             latest.clear()
@@ -208,7 +206,7 @@ def minimize_shapes(
         return latest[key]
 
     def residual(place: Array) -> Array:
-        return solution(place).residual
+        return np.asarray(solution(place).residual)
 
     def jacobian(place: Array) -> Array:
         shapes = ranges.shapes(place)
@@ -245,88 +243,53 @@ COMMAND_ERRORS = (80.0, 99.5)
 KNOWN_STIFFNESS = 25.0
 
 
-def refine_shapes(design: Design, start: Array, links: Array | None, noise: Array) -> Array:
-    """Return the shapes (s,) at a local minimum of the weighted residual.
+def shape_slopes(
+    design: Design, shapes: Array, links: Array | None
+) -> list[tuple[int, int, Indices, Array]]:
+    """Return the derivatives of columns by fitted shapes.
 
-    ``links`` (10 n,) give the load, None means no load; rows are weighted by the inverse of the
-    ``noise`` (n,). Shapes that are not fitted stay as they are.
+    Of each the shape, the joint, the base columns (c,) and their derivatives (R, c) on its rows.
     """
-    free = np.flatnonzero([shape.fitted for shape in design.model.shapes])
-    problem = _weighted_problem(design, start, links, noise, free)
-    return _replaced(start, free, minimize_shapes(problem, start[free]))
+    steps = STEP * ShapeRange.of(design.model.shapes).slope(shapes)
+    fitted = [shape.fitted for shape in design.model.shapes]
+    found = []
+    for alike in design.alike.values():
+        if any(fitted[k] for k in alike[0].shapes):
+            for e, slopes in zip(alike, design.slopes(alike, shapes, steps, links), strict=True):
+                own = [(i, int(k)) for i, k in enumerate(e.shapes) if fitted[k]]
+                found += [(k, e.placement.joint, e.columns, slopes[:, i]) for i, k in own]
+    if design.of_arm and links is not None:
+        found += _slopes_along_the_arm(design, shapes, steps, links)
+    return found
+
+
+def _slopes_along_the_arm(
+    design: Design, shapes: Array, steps: Array, links: Array
+) -> list[tuple[int, int, Indices, Array]]:
+    """Return those of effects along the arm: a limit of torque changes what a delay does, too."""
+    here, found = design.arm_rows(shapes, links), []
+    columns = np.concatenate([e.columns for e in design.of_arm])
+    joints = np.array([e.placement.joint for e in design.of_arm for _ in e.columns])
+    for members in _same_shape_groups(design):
+        own = [k for k in members if design.model.shapes[k].fitted]
+        own = [k for k in own if design.model.shapes[k].joint in joints]
+        if own:
+            step = np.zeros(len(shapes))
+            step[own] = steps[own]
+            moved = design.arm_rows(shapes + step, links)
+            for k in own:
+                j = design.model.shapes[k].joint
+                change = (moved[j] - here[j])[:, joints == j] / step[k]
+                found.append((k, j, columns[joints == j], change))
+    return found
 
 
 def shape_columns(design: Design, values: Array, shapes: Array, links: Array | None) -> list[Array]:
     """Return ∂torque/∂shapes per joint (R, s), N·m per unit of each shape."""
-    here = design.varying_rows(shapes, links)
-    steps = STEP * ShapeRange.of(design.model.shapes).slope(shapes)
-    fitted = np.array([shape.fitted for shape in design.model.shapes], dtype=bool)
-    derivatives = [np.zeros((len(rows), len(shapes))) for rows in here]
-    for alike in design.alike.values():
-        if not len(alike[0].shapes):
-            continue
-        own = np.array([e.shapes for e in alike])
-        moved = shapes[own][:, None] + steps[own][:, None] * np.eye(own.shape[1])
-        for e, columns in zip(alike, design.joint_columns(alike, moved, links), strict=True):
-            j = e.placement.joint
-            change = (columns - here[j][:, None, e.at]) @ values[e.columns]
-            derivatives[j][:, e.shapes] = np.where(fitted[e.shapes], change / steps[e.shapes], 0.0)
-    if design.of_arm and links is not None:
-        _add_changes_of_the_arm(design, derivatives, values, shapes, steps * fitted, links)
+    derivatives = [np.zeros((int(count), len(shapes))) for count in design.lengths]
+    for k, j, columns, slopes in shape_slopes(design, shapes, links):
+        derivatives[j][:, k] += slopes @ values[columns]
     return derivatives
-
-
-def _add_changes_of_the_arm(
-    design: Design,
-    derivatives: list[Array],
-    values: Array,
-    shapes: Array,
-    steps: Array,
-    links: Array,
-) -> None:
-    """Add those by columns along the arm: a limit of torque changes what a delay does, too."""
-    here, joints = design.arm_rows(shapes, links), [s.joint for s in design.model.shapes]
-    on = np.array([e.placement.joint for e in design.of_arm for _ in e.columns])
-    own = np.concatenate([values[e.columns] for e in design.of_arm])
-    for members in _same_shape_groups(design):
-        step = np.zeros(len(shapes))
-        step[members] = steps[members]
-        if step.any():
-            moved = design.arm_rows(shapes + step, links)
-            for k in (k for k in members if step[k]):
-                j = joints[k]
-                coefficients = np.where(on == j, own, 0.0)
-                derivatives[j][:, k] += (moved[j] - here[j]) @ coefficients / step[k]
-
-
-def _weighted_problem(
-    design: Design, start: Array, links: Array | None, noise: Array, free: NDArray[np.intp]
-) -> SeparableProblem:
-    """Return the weighted regression as a separable problem in the shapes that are fitted."""
-    rows = design.rows(start, links)
-
-    def weighted(per_joint: Sequence[Array]) -> Array:
-        return np.concatenate([x / s for x, s in zip(per_joint, noise, strict=True)])
-
-    def columns(shapes: Array) -> Array:
-        return weighted(design.varying_rows(_replaced(start, free, shapes), links))
-
-    def slopes(shapes: Array, coefficients: Array) -> Array:
-        values = np.zeros(design.model.base.count)
-        values[design.varying] = coefficients
-        every = _replaced(start, free, shapes)
-        return weighted(shape_columns(design, values, every, links))[:, free]
-
-    fixed = weighted(_fixed_columns(design, rows))
-    basis, _ = np.linalg.qr(unit_columns(fixed)[0])
-    whole = resolved_range(design)
-    return SeparableProblem(
-        columns=columns,
-        target=weighted([joint.torque for joint in rows.joints]),
-        ranges=ShapeRange(whole.lower[free], whole.upper[free]),
-        fixed=basis,
-        slopes=slopes,
-    )
 
 
 def command_error_range(segments: Sequence[Processed], joint: int) -> tuple[float, float]:
@@ -360,25 +323,6 @@ def resolved_range(design: Design) -> ShapeRange:
             if low < high:
                 lower[k], upper[k] = low, high
     return ShapeRange(lower, upper)
-
-
-def _replaced(values: Array, at: NDArray[np.intp], new: Array) -> Array:
-    """Return values with new ones at some positions."""
-    replaced = values.copy()
-    replaced[at] = new
-    return replaced
-
-
-def _fixed_columns(design: Design, rows: Rows) -> list[Array]:
-    """Return the base columns that depend neither on shapes nor on the load, per joint (R, f)."""
-    fixed = np.ones(rows.count, dtype=bool)
-    fixed[design.varying] = False
-    found = []
-    for joint in rows.joints:
-        matrix = np.zeros((len(joint.torque), rows.count))
-        matrix[:, joint.columns] = joint.matrix
-        found.append(matrix[:, fixed])
-    return found
 
 
 def _same_shape_groups(design: Design) -> list[list[int]]:
