@@ -138,6 +138,7 @@ class ExperimentView:
         state = self._state
         set_text(self._stage, state.stage)
         self._bar.value = state.fraction
+        self._bar.set_visibility(not state.ended)
         self._start.set_visibility(not (state.begun or state.ended))
         self._pause.set_visibility(state.unattended and state.begun and not state.ended)
         self._pause.text = "Continue" if state.paused else "Pause"

@@ -4,8 +4,9 @@
 
 It needs the recordings that ``LIEID_RECORDINGS`` names (see tests/real_arms.py; tests of the suite
 read all of them) and prints a Markdown table: RMS errors of samples in motion, N·m, of the plain
-fit, of the diagnosed model, and of the best version of this program so far on each joint
-(``real_arms_best.json``; ``--record`` adds this run to such a file). Two references are
+fit, of the diagnosed model, and of the version of this program with the lowest error so far
+(``real_arms_best.json``; ``--record`` adds this run to such a file): the geometric mean over the
+joints counts. Two references are
 made without a diagnosis: friction effects on every joint at once and, with ``--forward``, a
 selection by the cross-validated error alone, which tries every effect on every joint in turn.
 The processor time of a diagnosis is given in multiples of an identification of the same model.
@@ -181,10 +182,10 @@ def load_best():
     return json.loads(BEST.read_text("utf-8")) if BEST.exists() else []
 
 
-def lowest(runs, row):
-    """Return the lowest error on each joint of the recorded runs of a row; None without any."""
+def best_version(runs, row):
+    """Return the errors of the recorded version that was best on a row; None without any."""
     own = [r["after"] for r in runs if (r["arm"], r["test"]) == (row["arm"], row["test"])]
-    return np.min(own, axis=0) if own else None
+    return min(own, key=lambda after: whole(after, row["before"]), default=None)
 
 
 def whole(values, reference):
@@ -197,7 +198,7 @@ def numbers(values):
 
 
 def printed(row, runs):
-    best = lowest(runs, row)
+    best = best_version(runs, row)
     ratio = "–"
     if best is not None:
         ratio = f"{whole(row['after'], best):.2f} ({numbers(np.array(row['after']) / best)})"
