@@ -220,6 +220,11 @@ def is_delay(effect: Effect) -> bool:
     return effect.like_uncertain_friction == ("late",)
 
 
+def follows_temperature(effect: Effect) -> bool:
+    """Return whether an effect acts by a temperature, or stands for one that is not measured."""
+    return "temperature" in (*effect.signals, effect.unless_measured)
+
+
 def follows_velocity(effect: Effect) -> bool:
     """Return whether an effect is a function of its joint's velocity alone."""
     alone = not (effect.states or effect.couples or effect.whole_arm)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lieid_casadi.diagnosis.candidates import is_delay
+from lieid_casadi.diagnosis.candidates import follows_temperature, is_delay
 from lieid_casadi.diagnosis.step import Difference, Step, Unexplained
 from lieid_casadi.effects.registry import REGISTER, make
 from lieid_casadi.tables import std_text, value_text
@@ -142,8 +142,11 @@ def _selected(steps: Sequence[Step]) -> str:
     selected, together = step.evidence.selected, step.evidence.selected_with_rivals
     if selected == 1.0:
         if step.status == "one_of" and not step.rivals:
-            if step.effect in REGISTER and is_delay(make(step.effect)):
+            effect = make(step.effect) if step.effect in REGISTER else None
+            if effect is not None and is_delay(effect):
                 return "; a joint that sticks for a moment at each reversal may look the same"
+            if effect is not None and follows_temperature(effect):
+                return "; friction that changes at one instant may look the same"
             return f"; its gain{where} is only {step.evidence.deviations:.1f} standard errors"
         return ""
     text = f"; without single parts of the data it was selected{where} in {100 * selected:.0f} %"

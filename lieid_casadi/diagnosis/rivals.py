@@ -18,6 +18,7 @@ from lieid_casadi.diagnosis.step import Rival
 EXACT = 1e-6  # part of a torque by which exact rivals differ
 LEAST_GAIN = 0.5  # of an effect's gain in its place
 EXAMINED = 8  # candidates with the largest gains that can replace most of the effect's torque
+INSTANTS, INSTANT = 30, 1  # that a sudden change is tried at, and its parameters
 BLOCK = 1.0  # s, at least, of blocks whose errors are compared
 
 
@@ -42,20 +43,42 @@ def rivals_of(
     beside = [paths.outside(g) for g in others]
     block = _blocks(found)
     mine = _squares(found, [*beside, paths.outside(slot.group)], block)
-    cost = np.log(len(paths.span.residual)) / len(mine)
     rivals = []
     for group in examined:
         rival = columns.candidate(group)
         theirs = _squares(found, [*beside, paths.outside(group)], block)
-        worse = theirs - mine + cost * (rival.parameters - candidate.parameters)
-        error = float(np.std(worse, ddof=1)) / np.sqrt(len(worse))
-        if float(np.mean(worse)) > deviations * max(error, 1e-12):
+        worse, error = _difference(found, mine, theirs, rival.parameters - candidate.parameters)
+        if worse > deviations * error:
             continue
         part = part_of(torque, paths.outside(group))
         kind = "exact" if part > 1.0 - EXACT**2 else "data"
         stated = Rival(rival.label, rival.name, rival.joints, kind)
-        rivals.append((float(np.mean(worse)), int(group), stated))
+        rivals.append((worse, int(group), stated))
     return [(group, rival) for _, group, rival in sorted(rivals, key=lambda each: each[0])]
+
+
+def changes_at_once(found: Round, slot: Slot, others: Sequence[int], deviations: float) -> bool:
+    """Return whether friction that changes at one instant does as well as an effect.
+
+    The instant is one of all recordings, or one after the start of each, as of `warm_up`. A sudden
+    change is no effect of the library: it says nothing about other recordings.
+    """
+    rows, joint = found.rows, slot.joint
+    since_start = np.concatenate([s.filtered_time - s.filtered_time[0] for s in rows.segments])
+    friction = rows.friction_columns[joint] * rows.weights(found.spread)[joint][:, None]
+    beside, block = [found.paths.outside(g) for g in others], _blocks(found)
+    mine = _squares(found, [*beside, found.paths.outside(slot.group)], block)
+    parameters = INSTANT + friction.shape[1] - found.candidate(slot.group).parameters
+    lines = [line[rows.runs[joint].all] for line in (rows.times, since_start)]
+    places = np.linspace(0.0, 1.0, INSTANTS + 2)[1:-1]
+    for later in (line >= x for line in lines for x in np.quantile(line, places)):
+        columns = np.zeros((len(block), friction.shape[1]))
+        columns[found.paths.span.joint(joint)] = friction * later[:, None]
+        theirs = _squares(found, [*beside, found.paths.span.outside(columns)], block)
+        worse, error = _difference(found, mine, theirs, parameters)
+        if worse <= deviations * error:
+            return True
+    return False
 
 
 def represented(found: Round, slots: Sequence[Slot]) -> list[Slot]:
@@ -135,3 +158,14 @@ def _squares(found: Round, columns: Sequence[Array], block: NDArray[np.intp]) ->
     more = np.hstack(list(columns))
     error = residual - more @ solved(more.T @ more, more.T @ residual)
     return np.asarray(np.bincount(block, weights=error[: len(block)] ** 2), dtype=float)
+
+
+def _difference(found: Round, mine: Array, theirs: Array, parameters: int) -> tuple[float, float]:
+    """Return the mean by which another model's squares are larger, and its standard error.
+
+    ``parameters`` are those that the other model has more; each costs the logarithm of the rows.
+    """
+    cost = parameters * np.log(len(found.paths.span.residual)) / len(mine)
+    worse = theirs - mine + cost
+    error = float(np.std(worse, ddof=1)) / np.sqrt(len(worse))
+    return float(np.mean(worse)), max(error, 1e-12)

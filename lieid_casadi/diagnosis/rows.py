@@ -169,6 +169,17 @@ class Rows:
         return self._shifted_friction(EARLY)
 
     @cached_property
+    def friction_columns(self) -> tuple[Array, ...]:
+        """Columns (R_j, 2) of dry and viscous friction of each joint."""
+        parts = [
+            (s.filter(np.where(s.moving, expected_sign(s), 0.0)), s.filter(s.dq))
+            for s in self.segments
+        ]
+        dry, viscous = (np.concatenate(each) for each in zip(*parts, strict=True))
+        both = np.stack([dry, viscous], axis=2)
+        return tuple(both[run.all, j] for j, run in enumerate(self.runs))
+
+    @cached_property
     def away_from_reversals(self) -> tuple[NDArray[np.bool_], ...]:
         """Whether each row is farther than `REACH` from reversals and rests of its joint."""
         parts = [s.away_from_reversals(REACH / s.cutoff) for s in self.segments]

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature
 from lieid_casadi.diagnosis.evidence import Slot, solved
 from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.rivals import rivals_of
+from lieid_casadi.diagnosis.rivals import changes_at_once, rivals_of
 from lieid_casadi.diagnosis.search import SMOOTH, Round
 from lieid_casadi.diagnosis.smooth_functions import named_column
 from lieid_casadi.diagnosis.step import Evidence, Fall, Rival, Status, Step, Unexplained
@@ -85,6 +85,8 @@ class Accepted:
         smooth = any(c.name == SMOOTH and c.joint == slot.joint for c in beside)
         # without a part of the data something else was in its place, or nothing
         certain = slot.selected == 1.0 and slot.deviations >= options.name_deviations
+        if certain and follows_temperature(candidate.effect):
+            certain = not changes_at_once(found, slot, others, options.rival_deviations)
         return cls(
             candidate,
             found.paths.columns.shapes(slot.group),

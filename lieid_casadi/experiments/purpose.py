@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lieid_casadi.diagnosis import Diagnosis
+from lieid_casadi.diagnosis.candidates import follows_temperature
 from lieid_casadi.diagnosis.findings import difference_sentence
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.step import Step
@@ -162,8 +163,7 @@ def warming(diagnosis: Diagnosis) -> list[str]:
 
 def _is_thermal(label: str) -> bool:
     """Whether an effect acts by a temperature, or stands for one that is not measured."""
-    effect = make(label.partition(":")[0])
-    return "temperature" in (*effect.signals, effect.unless_measured)
+    return follows_temperature(make(label.partition(":")[0]))
 
 
 def remaining(diagnosis: Diagnosis) -> list[str]:

@@ -173,6 +173,20 @@ def test_a_delay_that_resembles_late_friction_is_added_without_a_certain_name():
     assert "a joint that sticks for a moment at each reversal may look the same" in alone.sentence
 
 
+def test_friction_that_changes_at_one_instant_is_no_certain_warm_up():
+    """A gradual change is one; a sudden one, which is no effect of the library, looks similar."""
+    gradual = plant.WarmUp(0, change=-0.6, time_constant=4.0)
+    sudden = plant.ForeignTorque(
+        0, function=lambda s: -0.6 * np.where(s.t > 6.0, 1.0, 0.0) * np.sign(s.dq[..., 0])
+    )
+    for hidden, status in [(gradual, "named"), (sudden, "one_of")]:
+        arm = plant.demo_arm(ROBOT, hidden=None).with_effects(hidden)
+        found = lieid.diagnose(MODEL, [run(arm, 1, "one"), run(arm, 2, "two")])
+        assert ("warm_up:1", status) in [(s.label, s.status) for s in found.steps]
+        stated = any("changes at one instant" in sentence for sentence in found.sentences)
+        assert stated == (hidden is sudden)
+
+
 def spot(q, place, width):
     return 1.0 / (1.0 + ((q[..., 1] - place) / width) ** 2)
 
