@@ -165,7 +165,7 @@ class MissingEffects:
         torque that the law states in addition looks like effects of the arm.
         """
         accepted, rounds = list[Accepted](), 0
-        if any(_is_limit(c) for c in rows.columns.owners):
+        if any(_is_limit(c) for c in rows.candidates):
             found = search(rows, self.options, wanted=_is_limit)
             self.unseen = UnseenMotion.of(rows, found.folds)
             fit, accepted = self._limits(self._accepted(found, accepted))
@@ -274,15 +274,17 @@ class MissingEffects:
             alike = [a for a in accepted if a.joint == j and follows_velocity(a.candidate.effect)]
             for found in _other_forms(alike, self.first.model):
                 others = [*(a for a in accepted if a not in alike), found]
-                try:
-                    other = self._fitted(others)
-                except NoSolution:
-                    continue
                 fewer = found.candidate.parameters < sum(a.candidate.parameters for a in alike)
                 most = fit.rms_cv[j] * (1.0 - self.options.worth) ** (-1 if fewer else 1)
-                sure = found.determined(other, self.options.gain_deviations)
+                try:
+                    other = self._new_fit(others, uncertainty=False)
+                except NoSolution:
+                    continue
                 doubtful = any(self._reason_against(other, each) for each in others)
-                if doubtful or not sure or other.rms_cv[j] > most:
+                if doubtful or other.rms_cv[j] > most:
+                    continue
+                other = self._fitted(others)
+                if not found.determined(other, self.options.gain_deviations):
                     continue
                 errors = float(fit.rms_cv[j]), float(other.rms_cv[j])
                 if self.ask is None or self.ask(Proposal(found.placement.label, j, *errors)):
@@ -469,7 +471,7 @@ class MissingEffects:
             self.fits[key] = self._new_fit(added)
         return self.fits[key]
 
-    def _new_fit(self, added: Sequence[Accepted]) -> Fit:
+    def _new_fit(self, added: Sequence[Accepted], *, uncertainty: bool = True) -> Fit:
         own = self.first.model
         placements = [*own.placements, *(a.placement for a in added)]
         effects = Model.of_placements(own.robot, placements).effects
@@ -478,6 +480,7 @@ class MissingEffects:
             compiled,
             self.segments,
             method=self.method,
+            uncertainty=uncertainty,
             known=self.known,
             temperature_mean=self.first.temperature_mean,
             provenance=self.first.provenance,

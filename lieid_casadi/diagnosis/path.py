@@ -141,7 +141,7 @@ class Paths:
             of_part = self._raw(k)
             self._raw_qz.append(of_part.qz)
             self.parts.append(self._outside(of_part, q.T @ q, q.T @ r))
-        self._cross: dict[int, list[Array]] = {}
+        self._cross: dict[tuple[int, int], Array] = {}
         self._own: dict[int, Array] = {}
 
     def outside(self, group: int) -> Array:
@@ -193,11 +193,10 @@ class Paths:
 
     def cross(self, group: int, part: int) -> Array:
         """Return the products (m, k) of all columns with those of a group, on a path's rows."""
-        if group not in self._cross:
-            parts = range(-1, len(self.left_out))
-            self._cross[group] = [self._cross_of(group, k) for k in parts]
-        found = self._cross[group]
-        return found[0] if part < 0 else found[0] - found[1 + part]
+        if (group, part) not in self._cross:
+            found = self._cross_of(group, part)
+            self._cross[group, part] = found if part < 0 else self.cross(group, -1) - found
+        return self._cross[group, part]
 
     def _cross_of(self, group: int, part: int) -> Array:
         """Return the products of `cross` on all rows, or on those that a path leaves out."""
@@ -212,9 +211,8 @@ class Paths:
                 raw[of_joint.columns] += matrix.T @ dense[use]
         if part < 0:
             return np.asarray(raw - along.T @ along[:, own])
-        products, qz = self.parts[part], self._raw_qz[part]
-        both = along.T @ qz[:, own] + qz.T @ along[:, own]
-        return np.asarray(raw - both + along.T @ (products.qq @ along[:, own]))
+        outside, qz = self.parts[part].qz[:, own], self._raw_qz[part]
+        return np.asarray(raw - along.T @ outside - qz.T @ along[:, own])
 
     def state(self, part: int) -> PathState:
         """Return the state of a path at its start; −1 is the path on all rows."""
@@ -366,7 +364,7 @@ def _grown(state: PathState, rules: Rules) -> PathState:
     seen = set[frozenset[int]]()
     while len(state.groups) < rules.most and frozenset(state.groups) not in seen:
         seen.add(frozenset(state.groups))
-        best = _best(state, rules, refused)
+        best = _best(state, state.gains(rules.usable), rules, refused)
         if best is None:
             break
         state = state.with_group(best)
@@ -375,10 +373,14 @@ def _grown(state: PathState, rules: Rules) -> PathState:
     return state
 
 
-def _best(state: PathState, rules: Rules, refused: Mask, least: float = 0.0) -> int | None:
-    """Return the group with the largest gain beyond its penalty and ``least``, None without one."""
-    columns = state.paths.columns
-    gains, values = state.gains(rules.usable)
+def _best(
+    state: PathState, found: tuple[Array, Array], rules: Rules, refused: Mask, least: float = 0.0
+) -> int | None:
+    """Return the group with the largest gain beyond its penalty and ``least``, None without one.
+
+    ``found`` are the gains of usable groups and the coefficients, see `PathState.gains`.
+    """
+    columns, (gains, values) = state.paths.columns, found
     owners = columns.owner[list(state.groups)]
     taken = np.isin(columns.owner, [*owners, *columns.common[owners]])
     score = np.where(rules.usable & ~refused & ~taken, gains - rules.penalty, 0.0)
@@ -400,9 +402,9 @@ def _exchanged(state: PathState, rules: Rules, refused: Mask) -> PathState:
         rest = state.without(group)
         own_size[:] = rules.usable
         own_size[group] = True
-        gains, _ = rest.gains(own_size)
-        own = float(gains[group] - rules.penalty[group])
-        better = _best(rest, rules, refused, max(own, 0.0) * (1.0 + MARGIN))
+        found = rest.gains(own_size)
+        own = float(found[0][group] - rules.penalty[group])
+        better = _best(rest, found, rules, refused, max(own, 0.0) * (1.0 + MARGIN))
         if better is not None and better != group and not rules.smooth[group]:
             state = rest.with_group(better)
         elif own <= 0.0:

@@ -56,7 +56,8 @@ class Rows:
     torque: tuple[Array, ...]
     residual: tuple[Array, ...]
     signals: tuple[SegmentSignals, ...]
-    #: of the candidates, not weighted
+    #: all that the library has, and the columns of those that were chosen, not weighted
+    candidates: tuple[Candidate, ...]
     columns: Columns
     store: ColumnStore
 
@@ -71,7 +72,7 @@ class Rows:
         with_candidates: bool = True,
         model_fixed: bool = False,
     ) -> Rows:
-        """Evaluate the columns of a fit's model and of all candidates.
+        """Evaluate the columns of a fit's model and list the candidates.
 
         ``before`` are rows of another fit on the same segments: they are kept, and their columns
         where these do not depend on the fit. If the model is fixed, it is not fitted again, and
@@ -100,8 +101,8 @@ class Rows:
         wanted: tuple[Candidate, ...] = ()
         if with_candidates:
             wanted = list_candidates(fit.model, segments, scan, model_fixed=model_fixed)
-        columns = evaluate(wanted, signals, runs, store)
-        return cls(fit, tuple(segments), runs, model, torque, residual, signals, columns, store)
+        none, made = evaluate((), signals, runs, store), tuple(segments)
+        return cls(fit, made, runs, model, torque, residual, signals, wanted, none, store)
 
     def with_candidates(self, candidates: Sequence[Candidate]) -> Rows:
         """Return the rows with other candidates, or other grids of the same ones."""

@@ -81,7 +81,7 @@ def search(
     path). Without ``beside_friction`` a delay may explain what late friction does.
     """
     # smooth functions are chosen anew for every residual
-    rows = rows.with_candidates([c for c in rows.columns.owners if c.name != SMOOTH and wanted(c)])
+    rows = rows.with_candidates([c for c in rows.candidates if c.name != SMOOTH and wanted(c)])
     scale = rows.spread() if noise is None else np.array([each.spread for each in noise])
     nothing = np.zeros((0, sum(run.count for run in rows.runs)), dtype=bool)
     whole: tuple[int, ...] = ()

@@ -55,11 +55,13 @@ def ramp(dq: ca.SX, width: ca.SX) -> ca.SX:
     return ca.if_else(ca.fabs(dq) < width, step, ca.sign(dq))
 
 
+_symbols = lru_cache(maxsize=16)(Motion.symbols)  # which all models with n joints share
+
+
 @lru_cache(maxsize=16)
-def _rigid_regressor(robot: Robot) -> tuple[Motion, ca.SX]:
-    """Return the regressor (n, 10 n) in symbols that all models of a robot share."""
-    motion = Motion.symbols(robot.n)
-    return motion, regressor(robot, motion)
+def _rigid_regressor(robot: Robot) -> ca.SX:
+    """Return the regressor (n, 10 n)."""
+    return regressor(robot, _symbols(robot.n))
 
 
 POSE, STATE = "q sin cos", "q sin cos dq ddq"  # inputs of rigid functions
@@ -70,7 +72,7 @@ class ModelFunctions:
 
     def __init__(self, model: Model) -> None:
         self.model, n = model, model.n
-        self.motion, self._rigid = _rigid_regressor(model.robot)
+        self.motion = _symbols(n)
         m = self.motion
         self.parameters = ca.SX.sym("parameters", 10 * n)
         self.shapes = ca.SX.sym("shapes", len(model.shapes))
@@ -84,6 +86,10 @@ class ModelFunctions:
         self._symbols = {"q": m.q, "sin": m.sin, "cos": m.cos, "dq": m.dq, "ddq": m.ddq}
         further = (*SIGNAL_NAMES[3:], "parameters", "shapes", "dead_zone", "states", "coefficients")
         self._symbols |= {name: getattr(self, name) for name in further}
+
+    @cached_property
+    def _rigid(self) -> ca.SX:
+        return _rigid_regressor(self.model.robot)
 
     def _sparse(self, name: str, inputs: str, matrix: ca.SX) -> SparseFunction:
         names = inputs.split()

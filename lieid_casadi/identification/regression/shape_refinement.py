@@ -78,7 +78,7 @@ class RefinementProblem:
         column_of = [int(c) for _, _, columns, _ in slopes for c in columns]
         size, first = count + len(shape_of) + 1, count  # columns, derivatives, torque
         numbers = [[np.array([size - 1])] for _ in range(design.model.n)]
-        matrices = [[self._fixed.joint(j)[0][:, None]] for j in range(design.model.n)]
+        matrices = [[self._fixed.residual(j)[:, None]] for j in range(design.model.n)]
         for _, j, columns, values in slopes:
             numbers[j].append(np.arange(first, first + len(columns)))
             matrices[j].append(values * self._fixed.weights[j])
@@ -90,7 +90,7 @@ class RefinementProblem:
             place = np.concatenate([*numbers[j], here])
             matrix = np.column_stack([*matrices[j], own[:, here]])
             gram[np.ix_(place, place)] += matrix.T @ matrix
-            along[:, place] += self._fixed.joint(j)[1].T @ matrix
+            along[:, place] += self._fixed.along(j, matrix)
         scale = np.sqrt(np.maximum(np.diag(gram)[:count], 1e-300))
         gram -= along.T @ along
         inverse = _inverse(gram[:count, :count], scale)

@@ -187,20 +187,23 @@ class WeightedProjection:
         self._axes[fixed] = (vt[used].T / sizes[used]) / scale[:, None]
         along = u[:, used].T @ z
         self._values, self.cost = self._axes @ along, float(z @ z - along @ along)
-        self._joints: dict[int, tuple[Array, Array]] = {}
+        self._residuals: dict[int, Array] = {}
 
     @property
     def count(self) -> int:
         """Number of vectors of the basis."""
         return int(self._axes.shape[1])
 
-    def joint(self, j: int) -> tuple[Array, Array]:
-        """Return the weighted residual (R,) of a joint, and its rows of a basis (R, f)."""
-        if j not in self._joints:
-            own, weight = self._rows.joints[j], self.weights[j]
-            basis = weight * (own.matrix @ self._axes[own.columns])
-            self._joints[j] = weight * own.residual(self._values), basis
-        return self._joints[j]
+    def residual(self, j: int) -> Array:
+        """Return the weighted residual (R,) of a joint."""
+        if j not in self._residuals:
+            self._residuals[j] = self.weights[j] * self._rows.joints[j].residual(self._values)
+        return self._residuals[j]
+
+    def along(self, j: int, columns: Array) -> Array:
+        """Return the inner products (f, c) of a joint's rows of the basis with columns (R, c)."""
+        own = self._rows.joints[j]
+        return np.asarray(self._axes[own.columns].T @ (own.matrix.T @ columns) * self.weights[j])
 
     def trial(self, columns: Columns) -> Trial:
         """Return a trial of columns."""
@@ -208,10 +211,9 @@ class WeightedProjection:
         along = np.zeros((count, width, self.count))
         square, target = np.zeros((count, width, width)), np.zeros((count, width))
         for j, values in columns.items():
-            residual, basis = self.joint(j)
             flat = values.reshape(count * width, -1)
-            along += self.weights[j] * (flat @ basis).reshape(along.shape)
-            target += self.weights[j] * (flat @ residual).reshape(target.shape)
+            along += self.weights[j] * self.along(j, flat.T).T.reshape(along.shape)
+            target += self.weights[j] * (flat @ self.residual(j)).reshape(target.shape)
             square += self.weights[j] ** 2 * (values @ values.swapaxes(1, 2))
         return Trial(columns, along, square - along @ along.swapaxes(1, 2), target)
 

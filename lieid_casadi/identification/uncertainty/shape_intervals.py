@@ -66,9 +66,7 @@ def shape_intervals(design: Design, state: FitState, covariance: Array) -> Shape
             alone = np.diag(independent)[numbers]
             ratios = np.diag(covariance)[numbers] / np.where(alone > 0.0, alone, np.inf)
             growth = max(float(ratios.max()), 1.0)
-            others = [j for j in range(count) if j != k]
-            rows = with_columns(state.rows, [slope[:, others] for slope in slopes])
-            profile = _Profile(scan, state, rows, number, own)
+            profile = _Profile(scan, state, whole, number, own)
             step = min(np.sqrt(variance) / float(ranges.slope(state.shapes)[k]), WIDEST)
             place = float(ranges.place(state.shapes)[k])
             limit = growth * float(chi2.ppf(LEVEL, 1))
@@ -92,9 +90,9 @@ class _Profile:
     def __init__(self, scan: ShapeScan, state: FitState, rows: Rows, number: int, own: int) -> None:
         self._scan, self._state, self._number, self._own = scan, state, number, own
         self._member = scan.members[number]
-        self._projection = WeightedProjection(
-            rows, self._member.effect.columns, state.weighting.noise
-        )
+        effect = self._member.effect
+        varying = np.append(effect.columns, state.rows.count + effect.shapes[own])
+        self._projection = WeightedProjection(rows, varying, state.weighting.noise)
         self._least = self._projection.falls(
             self._projection.present(self._member, state.rows), []
         )[0]
