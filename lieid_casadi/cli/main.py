@@ -11,6 +11,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from functools import cache
 from typing import NoReturn
 
 from lieid_casadi import __version__
@@ -36,6 +37,7 @@ class Parser(argparse.ArgumentParser):
         self.exit(BAD_INPUT, f"{self.prog}: {visible(' '.join(message.split()))}\n")
 
 
+@cache
 def build_parser() -> Parser:
     """Return the parser of all commands."""
     parser = Parser(

@@ -112,7 +112,7 @@ def run(command, folder):
 
 def library(folder, *, files=("arm.c", "arm_parameters.c")):
     """The exported functions as a shared library."""
-    run(["gcc", "-std=c99", "-O1", "-shared", "-fPIC", *files, "-lm", "-o", "arm.so"], folder)
+    run(["gcc", "-std=c99", "-O0", "-shared", "-fPIC", *files, "-lm", "-o", "arm.so"], folder)
     return ctypes.CDLL(str(folder / "arm.so"))
 
 

@@ -303,21 +303,21 @@ def test_torque_is_that_of_a_simulated_arm_with_the_effect(tmp_path):
     robot = SMALL
     cases = {
         # a point at the tool: of another body the effect neglects the inertia about it
-        "payload": (plant.Payload(1.5, (0.0, 0.0, 0.0), 1e-9), [1.5, 0.0, 0.0, 0.0]),
-        "external_wrench": (
-            plant.ExternalWrench((1.0, -2.0, 0.5), (10.0, 5.0, -8.0)),
-            [1.0, -2.0, 0.5, 10.0, 5.0, -8.0],
+        "payload,external_wrench": (
+            (
+                plant.Payload(1.5, (0.0, 0.0, 0.0), 1e-9),
+                plant.ExternalWrench((1.0, -2.0, 0.5), (10.0, 5.0, -8.0)),
+            ),
+            [1.5, 0.0, 0.0, 0.0, 1.0, -2.0, 0.5, 10.0, 5.0, -8.0],
         ),
-        "base_tilt": (plant.BaseTilt(0.06, -0.04), [0.06, -0.04]),
-        "encoder_offset:3": (plant.EncoderOffset(2, 0.05), [0.05]),
-        "torque_gain:3": (plant.TorqueGain(2, 0.1), [0.1]),
+        "base_tilt": ((plant.BaseTilt(0.06, -0.04),), [0.06, -0.04]),
+        "encoder_offset:3": ((plant.EncoderOffset(2, 0.05),), [0.05]),
+        "torque_gain:3": ((plant.TorqueGain(2, 0.1),), [0.1]),
     }
     t = np.arange(0.0, 2.0, 0.05)
     motion = plant.FourierTrajectory(robot, base_frequency=0.1, seed=4).at(t)
-    for number, (label, (effect, coefficients)) in enumerate(cases.items()):
-        hidden = plant.Arm(
-            robot, robot.link_parameters, plant.JointFriction.none(robot.n), (effect,)
-        )
+    for number, (label, (effects, coefficients)) in enumerate(cases.items()):
+        hidden = plant.Arm(robot, robot.link_parameters, plant.JointFriction.none(robot.n), effects)
         recording = plant.measure_along(hidden, t, *motion)
         fit = made_fit(robot, label)
         fit = dataclasses.replace(

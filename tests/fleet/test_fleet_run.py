@@ -27,6 +27,14 @@ def rows(folder, query):
         return history.rows(query)
 
 
+@pytest.fixture(scope="module")
+def after_a_run(two_arms, scheduler, tmp_path_factory):
+    """Folder of the fleet with the history of all its nights; not to be changed."""
+    folder = shutil.copytree(two_arms, tmp_path_factory.mktemp("run") / "fleet")
+    assert run(folder, scheduler) == 0
+    return folder
+
+
 def test_every_recording_is_run_once_and_again_only_when_it_changes(
     fleet_folder, scheduler, capsys, sha_of
 ):
@@ -55,11 +63,10 @@ def test_every_recording_is_run_once_and_again_only_when_it_changes(
     assert rows(fleet_folder, "SELECT count(*) FROM runs") == [(9,)]
 
 
-def test_parameters_and_errors_of_a_night(fleet_folder, scheduler):
-    run(fleet_folder, scheduler)
+def test_parameters_and_errors_of_a_night(after_a_run):
     arm = healthy_arm("two_link", 1)
     found = rows(
-        fleet_folder,
+        after_a_run,
         "SELECT name, joint, avg(value), avg(std), any_value(unit) FROM parameters "
         "WHERE serial = 'A1' GROUP BY ALL ORDER BY 1, 2",
     )
@@ -72,12 +79,13 @@ def test_parameters_and_errors_of_a_night(fleet_folder, scheduler):
         truth = getattr(arm.friction, name.partition(".")[0])[joint - 1]
         assert abs(value - truth) < 4.0 * std, found[k]
         assert unit == ("N·m·s/rad" if name == "viscous.f_v" else "N·m")
-    errors = rows(fleet_folder, "SELECT rms_moving / expected FROM errors")
+    errors = rows(after_a_run, "SELECT rms_moving / expected FROM errors")
     assert len(errors) == 16
     assert all(0.7 < ratio < 1.5 for (ratio,) in errors)
 
 
-def test_failures_are_rows_with_their_reasons(fleet_folder, scheduler, capsys):
+def test_failures_are_rows_with_their_reasons(after_a_run, tmp_path, scheduler, capsys):
+    fleet_folder = shutil.copytree(after_a_run, tmp_path / "fleet")
     nights = fleet_folder / "nights/A1"
     for k, content in enumerate([b"", b"t,q1\n1,2\nx,y\n", b"\x00\x01\x02" * 999], start=5):
         (nights / f"2026-01-0{k}.csv").write_bytes(content)
@@ -89,7 +97,7 @@ def test_failures_are_rows_with_their_reasons(fleet_folder, scheduler, capsys):
     (fleet_folder / "fleet.yaml").write_text(text, encoding="utf-8")
     assert run(fleet_folder, scheduler) == 0
     shown = capsys.readouterr().out
-    assert "8 done, 2 failed, 3 refused" in shown
+    assert "2 failed, 3 refused, 8 repeated" in shown
     assert f"\n  A1: {nights / '2026-01-06.csv'}: " in shown
     found = rows(
         fleet_folder,

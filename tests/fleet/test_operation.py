@@ -202,7 +202,7 @@ def test_a_history_may_be_read_and_copied_while_a_run_changes_it(tmp_path, capsy
             other.stdout.readline()
             for name in (path, tmp_path / "h.read.duckdb"):
                 assert calls_in(name) == "1"
-            assert main(["fleet", "report", str(path), "--html", str(tmp_path / "r.html")]) == 0
+            assert main(["fleet", "report", str(path)]) == 0
             assert main(["fleet", "backup", str(path), str(tmp_path / "copy.duckdb")]) == 0
             assert "latest batch of the run in progress" in capsys.readouterr().out
             words = ["fleet", "acknowledge", str(path), "A1", "--note", "greased"]
