@@ -193,7 +193,7 @@ def test_a_rival_that_contains_the_other_is_separable_one_way(fit):
         discriminate(fit, rivals)
 
 
-QUICK = ["--evaluations", "130"]
+QUICK = ["--evaluations", "20"]
 
 
 @pytest.fixture(scope="module")
