@@ -213,12 +213,11 @@ class Screen:
                 found.append((rows, t, CubicSpline(t, tau)))
         return found
 
-    def score(self, correction: Correction) -> float:
-        """Return the score of a correction: negative where errors fall."""
-        return float(self.scores([correction])[0])
-
     def scores(self, corrections: Sequence[Correction]) -> Array:
-        """Return the scores of corrections; the columns of several are computed together."""
+        """Return the scores of corrections: negative where errors fall.
+
+        The columns of several are computed together.
+        """
         new = {c.key: c for c in corrections if c.key not in self._scores}
         moved = [c for c in new.values() if not c.positions_stay and c.gravity is None]
         for batch in (moved[k : k + TOGETHER] for k in range(0, len(moved), TOGETHER)):
