@@ -150,36 +150,26 @@ def _low_passed_sign(dq: Array, ddq: Array, window: float) -> Array:
 class Design:
     """Columns of the free fit, and their products per joint and held-out part."""
 
-    #: joint, part, numbers of the columns that act, instants that are used, the columns (c, M)
-    pieces: tuple[tuple[int, int, Indices, Indices, Array], ...]
-    matrix: Array  # (n, P, p, p) products of the base parameters' columns and the joint's own
+    columns: Array  # (n, p, N) of the base parameters and the joint's own
+    used: Mask  # (n, P, N) instants of each part that are fitted
+    matrix: Array  # (n, P, p, p) products of the columns
 
     def equations(self, tau: Array) -> Equations:
         """Return the normal equations for torques (N, n)."""
-        vector = np.zeros(self.matrix.shape[:3])
-        square, count = np.zeros((2, *self.matrix.shape[:2]))
-        for j, part, acting, at, x in self.pieces:
-            y = tau[at, j]
-            vector[j, part, acting] = x @ y
-            square[j, part], count[j, part] = y @ y, len(y)
-        return Equations(self.matrix, vector, square, count)
+        fitted = tau.T[:, None] * self.used
+        vector = fitted @ self.columns.swapaxes(1, 2)
+        square = np.sum(fitted**2, axis=2)
+        return Equations(self.matrix, vector, square, self.used.sum(axis=2))
 
 
-def design(columns: Array, s: Samples, links: Indices, *, parts: bool) -> Design:
-    """Return the design of rigid columns (n, k, N) of given links (k,) and the joints' own."""
-    n, k = columns.shape[:2]
-    count = PARTS if parts else 1
-    matrix = np.zeros((n, count, k + OWN, k + OWN))
-    pieces = []
-    for j in range(n):
-        acting = np.concatenate([np.flatnonzero(links >= j), np.arange(k, k + OWN)])
-        stacked = np.concatenate([columns[j, acting[:-OWN]], s.own[j]])
-        for part in range(count):
-            at = np.flatnonzero(s.used[:, j] & (s.part == part) if parts else s.used[:, j])
-            x = stacked if len(at) == stacked.shape[1] else stacked[:, at]
-            matrix[j, part][np.ix_(acting, acting)] = x @ x.T
-            pieces.append((j, part, acting, at, x))
-    return Design(tuple(pieces), matrix)
+def design(columns: Array, s: Samples, *, parts: bool) -> Design:
+    """Return the design of rigid columns (n, k, N) and the joints' own."""
+    every = np.concatenate([columns, s.own], axis=1)
+    used = s.used.T[:, None]
+    if parts:
+        used = used & (s.part == np.arange(PARTS)[:, None])
+    fitted = every[:, None] * used[:, :, None]
+    return Design(every, used, fitted @ fitted.swapaxes(2, 3))
 
 
 @dataclass(frozen=True, eq=False)

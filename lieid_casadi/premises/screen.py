@@ -155,7 +155,7 @@ class Screen:
         self, correction: Correction, s: plain_fit.Samples, columns: Array | None = None
     ) -> plain_fit.Design:
         columns = self.columns(correction) if columns is None else columns
-        return plain_fit.design(columns, s, self.arm.kept // 10, parts=self.parts)
+        return plain_fit.design(columns, s, parts=self.parts)
 
     @cached_property
     def base(self) -> Errors:
