@@ -236,10 +236,17 @@ class ColumnStore:
     lasting: dict[str, PointColumns] = field(default_factory=dict)
     of_fit: dict[str, PointColumns] = field(default_factory=dict)
     scans: dict[tuple[str, int], Array] = field(default_factory=dict)
+    functions: dict[str, EffectFunction] = field(default_factory=dict)
 
     def for_another_fit(self) -> ColumnStore:
         """Return the store without the columns that depend on the fit."""
-        return ColumnStore(self.lasting, scans=self.scans)
+        return replace(self, of_fit={})
+
+    def function(self, effect: Effect) -> EffectFunction:
+        """Return an effect as a function of signals."""
+        if effect.label not in self.functions:
+            self.functions[effect.label] = EffectFunction(effect)
+        return self.functions[effect.label]
 
     def of(self, effect: Effect) -> dict[str, PointColumns]:
         """Return the part in which an effect's columns are kept."""
@@ -297,7 +304,10 @@ def _evaluate_missing(
     for group in together.values():
         effect, grid = group[0].effect, group[0].grid
         arm = isinstance(effect, ArmEffect)
-        columns = (_of_arm_effect if arm else _of_joint_effect)(group, signals, runs)
+        if arm:
+            columns = _of_arm_effect(group, signals, runs)
+        else:
+            columns = _of_joint_effect(store.function(effect), group, signals, runs)
         width = len(effect.coefficients)
         for candidate, own in zip(group, columns, strict=True):
             for k, row in enumerate(grid):
@@ -307,11 +317,13 @@ def _evaluate_missing(
 
 
 def _of_joint_effect(
-    group: Sequence[Candidate], signals: Sequence[SegmentSignals], runs: Sequence[Runs]
+    function: EffectFunction,
+    group: Sequence[Candidate],
+    signals: Sequence[SegmentSignals],
+    runs: Sequence[Runs],
 ) -> list[PointColumns]:
     """Return the columns (N_j, G·c) of the candidates of one effect by joint."""
-    function, places = EffectFunction(group[0].effect), [c.placement for c in group]
-    grid = group[0].grid
+    places, grid = [c.placement for c in group], group[0].grid
     parts = [filtered_columns(function, s.segment, s.values, places, grid) for s in signals]
     values = np.concatenate(parts)
     return [

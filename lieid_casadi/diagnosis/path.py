@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ class Span:
         """Return the rows of joint j."""
         return slice(int(self.ends[j]), int(self.ends[j + 1]))
 
-    @property
+    @cached_property
     def joint_of(self) -> NDArray[np.intp]:
         """Joint of each row (R,)."""
         return np.repeat(np.arange(len(self.ends) - 1), np.diff(self.ends))

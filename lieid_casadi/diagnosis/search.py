@@ -187,13 +187,11 @@ def _promising(paths: Paths, whole: Sequence[int], rules: Rules) -> NDArray[np.i
 
     The others would not be chosen on nine tenths of the rows either.
     """
-    state = paths.state(-1)
-    largest = state.gains()[0]
+    states = [paths.state(-1)]
     for group in whole:
-        state = state.with_group(group)
-        largest = np.maximum(largest, state.gains()[0])
-    for group in whole:
-        largest = np.maximum(largest, state.without(group).gains()[0])
+        states.append(states[-1].with_group(group))
+    states += [states[-1].without(group) for group in whole]
+    largest = np.max([state.gains(rules.usable)[0] for state in states], axis=0)
     near = rules.usable & (largest > PROMISING * rules.penalty)
     near[list(whole)] = True
     return np.flatnonzero(near)

@@ -125,6 +125,10 @@ class ModelAlongSegment:
 
     def gravity_by_axis(self) -> Array:
         """Return the gravity torques (K, n, 3) of 1 m/s² along each axis of the base."""
+        return self._gravity_by_axis
+
+    @cached_property
+    def _gravity_by_axis(self) -> Array:
         return np.stack(
             [arm.gravity(self.segment.q, self._links) for arm in _in_gravity(self.compiled)],
             axis=-1,
@@ -132,6 +136,10 @@ class ModelAlongSegment:
 
     def jacobian(self) -> Array:
         """Return the tool's Jacobian (K, 6, n), [ω; v], base axes."""
+        return self._jacobian
+
+    @cached_property
+    def _jacobian(self) -> Array:
         return self.compiled.jacobian(self.segment.q)
 
     def arm_columns(self) -> dict[int, Array]:
