@@ -31,7 +31,7 @@ from lieid_casadi.diagnosis.steps import (
     steps_of,
     unexplained_parts,
 )
-from lieid_casadi.effects import Placement
+from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.effects.placement import place
 from lieid_casadi.effects.registry import usable
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
@@ -272,7 +272,7 @@ class MissingEffects:
         """
         for j in range(fit.model.n):
             alike = [a for a in accepted if a.joint == j and follows_velocity(a.candidate.effect)]
-            for found in _other_forms(alike, self.first.model):
+            for found in other_forms(alike, self.first.model):
                 others = [*(a for a in accepted if a not in alike), found]
                 fewer = found.candidate.parameters < sum(a.candidate.parameters for a in alike)
                 most = fit.rms_cv[j] * (1.0 - self.options.worth) ** (-1 if fewer else 1)
@@ -491,12 +491,16 @@ def _is_limit(candidate: Candidate) -> bool:
     return candidate.name == TorqueSaturation.name
 
 
-def _other_forms(alike: Sequence[Accepted], model: Model) -> list[Accepted]:
-    """Return the variants of friction over speed in the place of effects on one joint."""
+def other_forms(alike: Sequence[Accepted], model: Model) -> list[Accepted]:
+    """Return the variants of friction over speed in the place of effects on one joint.
+
+    A variant of what is computed along the arm, as of a filter, takes the place of its kind only.
+    """
     found = []
     for effect in usable(model.library)[0].values() if alike else ():
-        if is_form(effect):
-            own = next((a for a in alike if a.candidate.name == effect.name), alike[0])
+        same = [a for a in alike if a.candidate.name == effect.name]
+        if is_form(effect) and (same or not isinstance(effect, ArmEffect)):
+            own = [*same, *alike][0]
             grid = np.zeros((1, len(effect.shapes)))
             form = Candidate(Placement(effect, own.joint), grid)
             found.append(own.replaced_by(form, alike))

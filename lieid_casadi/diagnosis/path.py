@@ -275,7 +275,11 @@ class PathState:
             whole = norms[own] * share
             least = np.einsum("gaa->ga", gram).max(axis=1) / np.maximum(whole.max(axis=1), 1e-300)
             gram[:, range(k), range(k)] += RIDGE * np.maximum(whole, 1e-300)
-            found = np.linalg.solve(gram, self.products[own][..., None])[..., 0]
+            found = self.products[own]
+            if k == 1:  # most groups
+                found = np.asarray(found / gram[:, 0])
+            else:
+                found = np.linalg.solve(gram, found[..., None])[..., 0]
             values[own] = found
             fine = least > LEAST_OWN_PART**2
             gains[groups] = np.where(fine, np.einsum("gk,gk->g", found, self.products[own]), 0.0)

@@ -13,9 +13,14 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import DiagnosisOptions
+from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.missing import other_forms
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
+from lieid_casadi.diagnosis.step import Evidence
+from lieid_casadi.diagnosis.steps import Accepted
+from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     EffectError,
     IdentificationError,
@@ -485,3 +490,15 @@ def test_a_joint_that_is_held_in_training_may_be_unexplained_in_the_test():
     train = plant.measure_along(arm, t, q, dq, ddq, sensors=plant.demo_sensors(ROBOT), seed=3)
     diagnosis = lieid.diagnose(MODEL, train, run(arm, 2))
     assert (1, ()) in [(part.joint, part.depends_on) for part in diagnosis.unexplained]
+
+
+def test_a_filter_of_torque_is_no_form_of_friction_over_speed():
+    def forms(label):
+        (placement,) = place(label, ROBOT.n)
+        evidence = Evidence((), 0.0, 1.0, 1.0, 10)
+        candidate = Candidate(placement, np.zeros((1, 1)))
+        accepted = Accepted(candidate, np.zeros(1), 1, evidence, (), True, False)
+        return [each.placement.label for each in other_forms([accepted], MODEL)]
+
+    assert forms("stribeck:2") == ["stribeck/exponent:2"]
+    assert "torque_lowpass/second_order:2" in forms("torque_lowpass:2")
