@@ -114,6 +114,23 @@ class Columns:
         return tuple(found)
 
     @cached_property
+    def pairs(self) -> tuple[Indices, Indices]:
+        """The first and the second column of each product within a group, see `within`."""
+        first = [np.repeat(own, own.shape[1], axis=1).ravel() for _, own in self.by_size]
+        second = [np.tile(own, own.shape[1]).ravel() for _, own in self.by_size]
+        none = np.zeros(0, dtype=np.intp)
+        return np.concatenate([none, *first]), np.concatenate([none, *second])
+
+    def within(self, products: Array) -> list[Array]:
+        """Return products of `pairs` as (g, k, k) of the groups of each size, which are views."""
+        found, first = [], 0
+        for _, own in self.by_size:
+            shape = (*own.shape, own.shape[1])
+            found.append(products[first : first + own.size * own.shape[1]].reshape(shape))
+            first += own.size * own.shape[1]
+        return found
+
+    @cached_property
     def support(self) -> Array:
         """Effective number of rows (Σc²)²/Σc⁴ of the least supported column of each group (G,)."""
         squares, fourth = np.zeros(self.count), np.zeros(self.count)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,11 @@ class Span:
 
     def joint(self, j: int) -> slice:
         """Return the rows of joint j."""
-        return slice(int(self.ends[j]), int(self.ends[j + 1]))
+        return self._slices[j]
+
+    @cached_property
+    def _slices(self) -> list[slice]:
+        return [slice(int(a), int(b)) for a, b in pairwise(self.ends)]
 
     @cached_property
     def joint_of(self) -> NDArray[np.intp]:
@@ -78,31 +83,18 @@ class Span:
         return columns
 
 
-class Grams:
-    """Products within groups: (G, k, k) for the groups of each size, as ``Columns.by_size``."""
-
-    def __init__(self, parts: Sequence[Array]) -> None:
-        self.parts = tuple(parts)
-
-    def __add__(self, other: Grams) -> Grams:
-        return Grams([a + b for a, b in zip(self.parts, other.parts, strict=True)])
-
-    def __sub__(self, other: Grams) -> Grams:
-        return Grams([a - b for a, b in zip(self.parts, other.parts, strict=True)])
-
-
 @dataclass(frozen=True, eq=False)
 class Products:
     """Inner products on a set of rows of basis Q (p), residual r, and columns Z outside the span.
 
-    ``inner`` has the products within groups.
+    ``inner`` has the products within groups, as `Columns.pairs`.
     """
 
     qq: Array
     qr: Array
     qz: Array
     zr: Array
-    inner: Grams
+    inner: Array
 
     def __sub__(self, other: Products) -> Products:
         return Products(
@@ -132,7 +124,7 @@ class Paths:
         ]
         raw = self._raw(-1)
         self.norms = np.zeros(count)  # squares of the columns themselves
-        for gram, (_, places) in zip(raw.inner.parts, columns.by_size, strict=True):
+        for gram, (_, places) in zip(columns.within(raw.inner), columns.by_size, strict=True):
             self.norms[places] = np.einsum("gkk->gk", gram)
         self.whole = self._outside(raw, np.eye(span.basis.shape[1]), np.zeros(len(self._along)))
         self.parts: list[Products] = []
@@ -151,13 +143,10 @@ class Paths:
             self._own[group] = self.span.outside(self.columns.stacked(group))
         return self._own[group]
 
-    def grams(self, a: Array, b: Array) -> Grams:
+    def grams(self, a: Array, b: Array) -> Array:
         """Return the products within groups of columns of a (p, m) with those of b."""
-        found = []
-        for _, own in self.columns.by_size:
-            left = np.moveaxis(a[:, own], 0, 1)
-            found.append(np.swapaxes(left, 1, 2) @ np.moveaxis(b[:, own], 0, 1))
-        return Grams(found)
+        first, second = self.columns.pairs
+        return np.asarray(np.einsum("pi,pi->i", a[:, first], b[:, second]))
 
     def _rows(self, part: int, j: int) -> tuple[slice | Mask, Array]:
         """Return the rows of joint j that a path leaves out, and the columns there; −1 for all."""
@@ -169,16 +158,14 @@ class Paths:
         """Return the products of the columns themselves on the rows that a path leaves out."""
         span, columns = self.span, self.columns
         qz, zr = np.zeros((span.basis.shape[1], columns.count)), np.zeros(columns.count)
-        inner = Grams(
-            [np.zeros((len(g), own.shape[1], own.shape[1])) for g, own in columns.by_size]
-        )
+        inner = np.zeros(len(columns.pairs[0]))
         for j, own in enumerate(columns.joints):
             use, matrix = self._rows(part, j)
             qz[:, own.columns] += span.basis[span.joint(j)][use].T @ matrix
             zr[own.columns] += matrix.T @ span.residual[span.joint(j)][use]
             place = np.full(columns.count, -1)
             place[own.columns] = np.arange(len(own.columns))
-            for gram, (_, of_size) in zip(inner.parts, columns.by_size, strict=True):
+            for gram, (_, of_size) in zip(columns.within(inner), columns.by_size, strict=True):
                 here = np.flatnonzero((place[of_size] >= 0).all(axis=1))
                 if len(here):
                     values = np.moveaxis(matrix[:, place[of_size[here]]], 0, 1)
@@ -253,7 +240,7 @@ class PathState:
     residual: Array
     #: (m,): of the columns with the residual, outside
     products: Array
-    inner: Grams
+    inner: Array
 
     def gains(self, wanted: Mask | None = None) -> tuple[Array, Array]:
         """Return the fall of the sum of squares (G,) of wanted groups, and coefficients (m,).
@@ -265,24 +252,21 @@ class PathState:
         share = 1.0
         if self.part >= 0 and self.paths.left_out.size:
             share -= self.paths.left_out[self.part].mean()
-        for (groups, own), inner in zip(columns.by_size, self.inner.parts, strict=True):
-            if wanted is not None:
-                here = wanted[groups]
+        for (groups, own), inner in zip(columns.by_size, columns.within(self.inner), strict=True):
+            if wanted is not None and not (here := wanted[groups]).all():
                 groups, own, inner = groups[here], own[here], inner[here]
             if not len(groups):
                 continue
             k, gram = own.shape[1], inner.copy()
-            whole = norms[own] * share
-            least = np.einsum("gaa->ga", gram).max(axis=1) / np.maximum(whole.max(axis=1), 1e-300)
-            gram[:, range(k), range(k)] += RIDGE * np.maximum(whole, 1e-300)
-            found = self.products[own]
+            whole, products = np.maximum(norms[own] * share, 1e-300), self.products[own]
+            diagonal = gram.reshape(len(groups), -1)[:, :: k + 1]
+            fine = diagonal.max(axis=1) > LEAST_OWN_PART**2 * whole.max(axis=1)
+            diagonal += RIDGE * whole
             if k == 1:  # most groups
-                found = np.asarray(found / gram[:, 0])
+                values[own] = products / diagonal
             else:
-                found = np.linalg.solve(gram, found[..., None])[..., 0]
-            values[own] = found
-            fine = least > LEAST_OWN_PART**2
-            gains[groups] = np.where(fine, np.einsum("gk,gk->g", found, self.products[own]), 0.0)
+                values[own] = np.linalg.solve(gram, products[..., None])[..., 0]
+            gains[groups] = np.where(fine, np.einsum("gk,gk->g", values[own], products), 0.0)
         return gains, values
 
     @property

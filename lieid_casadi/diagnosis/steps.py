@@ -278,7 +278,7 @@ def absorbed_and_weak(found: Round) -> tuple[tuple[str, ...], tuple[tuple[str, f
     """Return the candidates that the model spans, and those that it nearly spans."""
     columns, whole = found.paths.columns, found.paths.whole
     remaining = np.zeros(len(columns.owners))
-    for (groups, own), gram in zip(columns.by_size, whole.inner.parts, strict=True):
+    for (groups, own), gram in zip(columns.by_size, columns.within(whole.inner), strict=True):
         norms = found.paths.norms[own]
         left = np.sqrt(np.clip(np.einsum("gkk->gk", gram), 0.0, None) / np.maximum(norms, 1e-300))
         np.maximum.at(remaining, columns.owner[groups], left.max(axis=1))
