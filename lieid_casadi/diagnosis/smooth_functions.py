@@ -50,8 +50,7 @@ def smooth_candidates(
     found: dict[str, Candidate] = {}
     for joint in sorted({c.joint for c in rows.columns.owners}):
         weights = rows.weights(spread)[joint][:, None]
-        model = rows.model[joint]
-        basis, _ = np.linalg.qr(model[:, model.any(axis=0)] * weights)  # of its own columns
+        basis, _ = np.linalg.qr(rows.model[joint] * weights)
         targets = np.column_stack([r[joint] for r in residuals]) * weights
         targets -= basis @ (basis.T @ targets)
         polynomials = dict(_polynomials(rows, joint))
