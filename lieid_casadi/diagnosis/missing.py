@@ -11,8 +11,9 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
-from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay, is_form
+from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay
 from lieid_casadi.diagnosis.evidence import OTHER_JOINTS, Slot
+from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.motion import UnseenMotion
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -20,20 +21,18 @@ from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round, search
-from lieid_casadi.diagnosis.smooth_functions import followed_signals, formula_of
-from lieid_casadi.diagnosis.step import Difference, MotionGain, Step
+from lieid_casadi.diagnosis.smooth_functions import followed_signals
+from lieid_casadi.diagnosis.step import Difference, MotionGain
 from lieid_casadi.diagnosis.steps import (
     Accepted,
-    FinalModel,
     absorbed_and_weak,
+    fall_of,
     fitted_values,
     late_friction,
+    other_forms,
     steps_of,
     unexplained_parts,
 )
-from lieid_casadi.effects import ArmEffect, Placement
-from lieid_casadi.effects.placement import place
-from lieid_casadi.effects.registry import usable
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.errors import (
     LieidError,
@@ -50,7 +49,6 @@ from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
 
 Report = Callable[[str, float], None]
-CONTAINED = 0.1  # part of an effect's torque that a smooth function can take over
 #: Torque of an effect in that of its joint: a spring may carry several times what the drive does;
 #: more cancels that of other effects, and does so only at the speeds of the training data.
 LARGEST_TORQUE = 10.0
@@ -109,7 +107,7 @@ class MissingEffects:
         last_rows = Rows.of(
             fit, self.segments, known=self.known, before=rows, with_candidates=False
         )
-        steps = _with_formulas(steps_of(final, accepted, torque, after), final, last_rows)
+        steps = steps_of(final, accepted, last_rows, torque, after)
         steps = tuple(replace(step, motion=self.gains.get(step.label)) for step in steps)
         parts = unexplained_parts(
             fitted,
@@ -313,7 +311,7 @@ class MissingEffects:
             return left
         while left:
             gone = [a.placement for a in accepted if a not in left]
-            falls = [_fall(model, found, left, gone) for found in left]
+            falls = [fall_of(model, found, left, gone) for found in left]
             worst = int(np.argmin(falls))
             if falls[worst] >= (0.0 if self.apart else self.options.worth):
                 break
@@ -491,66 +489,9 @@ def _is_limit(candidate: Candidate) -> bool:
     return candidate.name == TorqueSaturation.name
 
 
-def other_forms(alike: Sequence[Accepted], model: Model) -> list[Accepted]:
-    """Return the variants of friction over speed in the place of effects on one joint.
-
-    A variant of what is computed along the arm, as of a filter, takes the place of its kind only.
-    """
-    found = []
-    for effect in usable(model.library)[0].values() if alike else ():
-        same = [a for a in alike if a.candidate.name == effect.name]
-        if is_form(effect) and (same or not isinstance(effect, ArmEffect)):
-            own = [*same, *alike][0]
-            grid = np.zeros((1, len(effect.shapes)))
-            form = Candidate(Placement(effect, own.joint), grid)
-            found.append(own.replaced_by(form, alike))
-    return found
-
-
 def _stage(accepted: Sequence[Accepted]) -> str:
     labels = ", ".join(a.placement.label for a in accepted)
     return f"search beside {labels}" if labels else "search"
-
-
-def _fall(
-    model: FinalModel, found: Accepted, left: Sequence[Accepted], gone: Sequence[Placement]
-) -> float:
-    """Return how much an effect lowers the cross-validated error of its joint, relative to it.
-
-    Where a smooth function contains a part of the effect and was there before it, the effect must
-    be worth it without the function, too: beside one, a piece of any other form would be.
-    """
-    added = [*gone, *(a.placement for a in left)]
-    contain = [
-        a.placement
-        for a in left
-        if found.beside_smooth
-        and found.candidate.name != SMOOTH
-        and (a.candidate.name, a.joint) == (SMOOTH, found.joint)
-        and model.contained(found.placement, a.placement, added) > CONTAINED
-    ]
-
-    def fall(without: Sequence[Placement]) -> float:
-        complete, less = (
-            model.cross_validated(model.columns_of([*gone, *without, *own]))[found.joint]
-            for own in ([], [found.placement])
-        )
-        return float(1.0 - complete / less)
-
-    return min(fall([]), fall(contain)) if contain else fall([])
-
-
-def _with_formulas(steps: tuple[Step, ...], final: FinalModel, rows: Rows) -> tuple[Step, ...]:
-    """Return the steps with formulas that are close to their smooth functions."""
-    found = []
-    for step in steps:
-        if step.status == "shape":
-            (placement,) = place(step.label, final.fit.model.n)
-            own = final.columns_of([placement])
-            text = formula_of(rows, placement, own, final.fit.values[own])
-            step = replace(step, formula=text)
-        found.append(step)
-    return tuple(found)
 
 
 def _errors(fit: Fit, compared: Comparison | None) -> dict[str, Array | None]:

@@ -1,9 +1,4 @@
-"""From what a search accepted to the steps of a diagnosis, with the numbers of the final fit.
-
-Steps are left out of the final model and the remaining linear parameters fitted again; shape
-parameters keep their final values. All errors follow from inner products of the final model's
-columns, so that leaving a step out costs nothing.
-"""
+"""From what a search accepted to the steps of a diagnosis, with the numbers of the final fit."""
 
 from __future__ import annotations
 
@@ -11,31 +6,26 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature
-from lieid_casadi.diagnosis.evidence import Slot, solved
+from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature, is_form
+from lieid_casadi.diagnosis.evidence import Slot
+from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import changes_at_once, rivals_of
+from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round
-from lieid_casadi.diagnosis.smooth_functions import named_column
+from lieid_casadi.diagnosis.smooth_functions import formula_of, named_column
 from lieid_casadi.diagnosis.step import Evidence, Fall, Rival, Status, Step, Unexplained
-from lieid_casadi.effects import Placement
+from lieid_casadi.effects import ArmEffect, Placement
+from lieid_casadi.effects.registry import usable
 from lieid_casadi.errors import LateFrictionWarning
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.fit_warnings import WEAK
-from lieid_casadi.identification.regression.cross_validation import (
-    Fold,
-    cross_validated_rms,
-    fold_factors,
-)
-from lieid_casadi.identification.regression.design_matrix import Design, with_priors
-from lieid_casadi.identification.regression.least_squares import Factor, Rows
-from lieid_casadi.recording import Processed
+from lieid_casadi.model import Model
 
-Indices = NDArray[np.intp]
+CONTAINED = 0.1  # part of an effect's torque that a smooth function can take over
 ABSORBED = 1e-6  # part of a column outside the model's span, below which the model imitates it
 
 
@@ -145,12 +135,16 @@ def fitted_values(
 
 
 def steps_of(
-    final: FinalModel, accepted: Sequence[Accepted], torque: Array, tested: Comparison | None
+    final: FinalModel,
+    accepted: Sequence[Accepted],
+    rows: Rows,
+    torque: Array,
+    tested: Comparison | None,
 ) -> tuple[Step, ...]:
     """Return the steps of a final model: every number is that of its fit.
 
-    ``accepted`` is in the order of the path, ``torque`` (n,) the RMS of the measured torque, N·m,
-    and ``tested`` compares the final fit with the test.
+    ``accepted`` is in the order of the path, ``rows`` are those of the final fit, ``torque`` (n,)
+    is the RMS of the measured torque, N·m, and ``tested`` compares the final fit with the test.
     """
     fit = final.fit
     columns = [final.columns_of([a.placement]) for a in accepted]
@@ -188,6 +182,7 @@ def steps_of(
                 rivals=rivals,
                 group=groups[k],
                 depends_on=signals_of(found.placement),
+                formula=_formula(final, found.placement, rows) if status == "shape" else "",
                 rival_pairs=(replaced,) if len(replaced) > 1 else (),
                 errors={
                     "rms_train": fit.rms_train if last else so_far["train"],
@@ -200,6 +195,12 @@ def steps_of(
             )
         )
     return tuple(steps)
+
+
+def _formula(final: FinalModel, smooth: Placement, rows: Rows) -> str:
+    """Return a formula that is close to a smooth function."""
+    own = final.columns_of([smooth])
+    return formula_of(rows, smooth, own, final.fit.values[own])
 
 
 def status_of(found: Accepted, accepted: Sequence[Accepted]) -> tuple[Status, tuple[Rival, ...]]:
@@ -343,117 +344,45 @@ def _difference(before: Array | None, after: Array | None, joint: int) -> float 
     return float(before[joint] - after[joint])
 
 
-@dataclass(frozen=True, eq=False)
-class FinalModel:
-    """The final model on its training recordings and on a test."""
+def other_forms(alike: Sequence[Accepted], model: Model) -> list[Accepted]:
+    """Return the variants of friction over speed in the place of effects on one joint.
 
-    fit: Fit
-    #: (p + 1, p + 1) of each joint: inner products of columns and torque of its rows in motion
-    train: tuple[Array, ...]
-    #: (p + 1, p + 1): inner products of what is known before any data
-    priors: Array
-    #: (n,): numbers of these rows
-    counts: Array
-    test: tuple[Array, ...] | None
-    test_counts: Array
-    #: those of the fit's cross-validated error
-    folds: tuple[Fold, ...]
-
-    @classmethod
-    def of(
-        cls, fit: Fit, segments: Sequence[Processed], tests: Sequence[Processed] | None
-    ) -> FinalModel:
-        """Return the final model of a fit to segments, and to those of a test."""
-        design = Design(fit.compiled, segments)
-        rows = design.rows(fit.shapes, fit.parameters)
-        train, counts = _products(rows)
-        known = with_priors(Factor(np.zeros((1, rows.count + 1)), 0), design).r
-        of_test, test_counts = None, np.zeros(fit.model.n)
-        if tests:
-            of_test, test_counts = _products(
-                Design(fit.compiled, tests).rows(fit.shapes, fit.parameters)
-            )
-        folds = fold_factors(design, rows, fit.noise, fit.values)
-        return cls(fit, train, known.T @ known, counts, of_test, test_counts, folds)
-
-    def columns_of(self, placements: Sequence[Placement]) -> Indices:
-        """Return the columns of placed effects."""
-        found = []
-        for k, parameter in enumerate(self.fit.model.base_columns):
-            name = parameter.name.rpartition(".")[0]
-            if any(name == p.effect.label and parameter.joint == p.joint for p in placements):
-                found.append(k)
-        return np.array(found, dtype=np.intp)
-
-    def part_of_torque(self, effect: Placement, joint: int) -> float:
-        """Return the RMS torque of an effect on a joint in motion, relative to the measured one."""
-        own, gram = self.columns_of([effect]), self.train[joint]
-        values = self.fit.values[own]
-        return float(np.sqrt(values @ gram[np.ix_(own, own)] @ values / max(gram[-1, -1], 1e-300)))
-
-    def contained(self, effect: Placement, smooth: Placement, added: Sequence[Placement]) -> float:
-        """Return the part of an effect's torque that a smooth function can take over.
-
-        That is of its square outside the span of the model without the effects ``added``.
-        """
-        gram = np.einsum("j,jab->ab", 1.0 / self.fit.noise**2, np.array(self.train))
-        own, more = self.columns_of([effect]), self.columns_of([smooth])
-        model = np.setdiff1d(np.arange(len(self.fit.values)), self.columns_of(added))
-        torque = np.zeros(len(gram))
-        torque[own] = self.fit.values[own]
-        before, after = (_outside(gram, torque, x) for x in (model, np.append(model, more)))
-        return 1.0 - after / max(before, 1e-300)
-
-    def errors(self, without: Indices) -> dict[str, Array | None]:
-        """Return the errors in motion (n,) without some columns, N·m: train, cv and test."""
-        count = len(self.fit.values)
-        kept = np.setdiff1d(np.arange(count), without)
-        values = np.zeros(count)
-        weights = 1.0 / self.fit.noise**2
-        gram = np.einsum("j,jab->ab", weights, np.array(self.train)) + self.priors
-        values[kept] = solved(gram[np.ix_(kept, kept)], gram[kept, -1])
-
-        return {
-            "train": _rms(self.train, self.counts, values),
-            "cv": self.cross_validated(without),
-            "test": None if self.test is None else _rms(self.test, self.test_counts, values),
-        }
-
-    def cross_validated(self, without: Indices) -> Array:
-        """Return the errors in motion (n,) of held-out blocks without some columns, N·m."""
-        kept = np.setdiff1d(np.arange(len(self.fit.values)), without)
-
-        def estimate(factor: Factor) -> Array:
-            found, r = np.zeros(len(self.fit.values)), factor.r
-            found[kept] = np.linalg.lstsq(r[:, kept], r[:, -1], rcond=1e-10)[0]
-            return found
-
-        return cross_validated_rms(self.folds, estimate)
+    A variant of what is computed along the arm, as of a filter, takes the place of its kind only.
+    """
+    found = []
+    for effect in usable(model.library)[0].values() if alike else ():
+        same = [a for a in alike if a.candidate.name == effect.name]
+        if is_form(effect) and (same or not isinstance(effect, ArmEffect)):
+            own = [*same, *alike][0]
+            grid = np.zeros((1, len(effect.shapes)))
+            form = Candidate(Placement(effect, own.joint), grid)
+            found.append(own.replaced_by(form, alike))
+    return found
 
 
-def _outside(gram: Array, combined: Array, given: Indices) -> float:
-    """Return the square of combined columns outside the span of others, from inner products."""
-    products = gram[given] @ combined
-    inside = solved(gram[np.ix_(given, given)], products)
-    return float(combined @ gram @ combined - products @ inside)
+def fall_of(
+    model: FinalModel, found: Accepted, left: Sequence[Accepted], gone: Sequence[Placement]
+) -> float:
+    """Return how much an effect lowers the cross-validated error of its joint, relative to it.
 
+    Where a smooth function contains a part of the effect and was there before it, the effect must
+    be worth it without the function, too: beside one, a piece of any other form would be.
+    """
+    added = [*gone, *(a.placement for a in left)]
+    contain = [
+        a.placement
+        for a in left
+        if found.beside_smooth
+        and found.candidate.name != SMOOTH
+        and (a.candidate.name, a.joint) == (SMOOTH, found.joint)
+        and model.contained(found.placement, a.placement, added) > CONTAINED
+    ]
 
-def _products(rows: Rows) -> tuple[tuple[Array, ...], Array]:
-    """Return inner products (p + 1, p + 1) and number of rows of each joint."""
-    found, counts = [], []
-    for joint in rows.joints:
-        wide = np.zeros((rows.count + 1, rows.count + 1))
-        own = np.append(joint.columns, rows.count)
-        values = np.column_stack([joint.matrix, joint.torque])
-        wide[np.ix_(own, own)] = values.T @ values
-        found.append(wide)
-        counts.append(len(joint.torque))
-    return tuple(found), np.array(counts, dtype=float)
+    def fall(without: Sequence[Placement]) -> float:
+        complete, less = (
+            model.cross_validated(model.columns_of([*gone, *without, *own]))[found.joint]
+            for own in ([], [found.placement])
+        )
+        return float(1.0 - complete / less)
 
-
-def _rms(products: Sequence[Array], counts: Array, values: Array) -> Array:
-    """Return the RMS (n,) of torque minus columns · values."""
-    full = np.append(-values, 1.0)
-    squares = np.array([max(float(full @ gram @ full), 0.0) for gram in products])
-    mean = np.divide(squares, counts, out=np.full(len(counts), np.nan), where=counts > 0)
-    return np.asarray(np.sqrt(mean))
+    return min(fall([]), fall(contain)) if contain else fall([])

@@ -14,12 +14,11 @@ from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import DiagnosisOptions
 from lieid_casadi.diagnosis.candidates import Candidate
-from lieid_casadi.diagnosis.missing import other_forms
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
 from lieid_casadi.diagnosis.step import Evidence
-from lieid_casadi.diagnosis.steps import Accepted
+from lieid_casadi.diagnosis.steps import Accepted, other_forms
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     EffectError,
