@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     --page PORT: port  follow the experiment and confirm motions on a local web page
     --no-browser  do not open a browser
     --longest S: number = 20  length of a motion, s
-    --probe S: number = 2  length of the probe motion at the start of each, s; 0 for none
+    --probe S: number = 3  length of the probe motion at the start of each, s; 0 for none
     --start-pose Q …: number  pose at the start and the end, rad; default: a pose found
         within all limits
     --rate HZ: number = 1000  sampling rate of the trajectories, Hz

@@ -50,7 +50,7 @@ def experiment(
     margin: float = MARGIN,
     limits: Sequence[Limit] | None = None,
     longest: float = 20.0,
-    probe: float = 2.0,
+    probe: float = 3.0,
     rate: float = 1000.0,
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,

@@ -8,7 +8,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 
 ROBOT = lieid.robots.two_link()
-QUICK = {"longest": 14.0, "rate": 200.0}
+QUICK = {"longest": 13.0, "rate": 200.0}
 
 
 def arm(hidden="stribeck", strength=0.5):

@@ -43,7 +43,7 @@ def test_names_the_hidden_effect(done):
     assert step.parameters["f_s-f_c"] == pytest.approx(hidden.extra, rel=0.1)
     assert step.parameters["v_s"] == pytest.approx(hidden.velocity, rel=0.1)
     assert after.error[0] < 0.5 * after.unseen[0]
-    # the short motion, 6 s after 2 s of probe, shows more per second than one of 12 s
+    # the short motion, 5 s after 3 s of probe, shows more per second than one of 10 s
     assert result.seconds == pytest.approx(8.0)
 
 
@@ -83,10 +83,10 @@ def test_folder_holds_every_round(done):
 def test_views(done):
     result, _ = done
     page = experiment_report(result)
-    plan = "8 s of motion; a fixed plan of 1 standard excitation of 14 s takes 14 s."
+    plan = "8 s of motion; a fixed plan of 1 standard excitation of 13 s takes 13 s."
     assert plan in page
     assert plan in result.sentences[0]
-    assert result.to_dict()["fixed_plan_seconds"] == 14.0
+    assert result.to_dict()["fixed_plan_seconds"] == 13.0
     assert replace(result, rounds=result.rounds[:1]).sentences[0] == result.reason
     assert "stribeck:1 or viscous_polynomial:1" in page
     assert "surroundings other than the stated ones" in page

@@ -27,7 +27,7 @@ def words(tmp_path):
     sines(arm()).save(tmp_path / "sines.csv")
     return [
         "experiment", "two_link", str(tmp_path / "sines.csv"), "-o", str(tmp_path / "out"),
-        "--longest", "14", "--rate", "200",
+        "--longest", "13", "--rate", "200",
     ]  # fmt: skip
 
 
