@@ -14,8 +14,12 @@ from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.effects import ArmEffect, Effect
 from lieid_casadi.expressions.effect_function import OWN, EffectFunction
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.regression.effect_columns import filtered_columns, signals_along
-from lieid_casadi.identification.regression.segment_columns import ModelAlongSegment, model_along
+from lieid_casadi.identification.regression.segment_columns import (
+    ModelAlongSegment,
+    filtered_columns,
+    model_along,
+    signals_along,
+)
 from lieid_casadi.identification.uncertainty.noise_model import Runs
 from lieid_casadi.recording import Processed
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lieid_casadi.diagnosis.candidates import follows_temperature, is_delay
+from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.step import Difference, Step, Unexplained
 from lieid_casadi.effects.registry import REGISTER, make
 from lieid_casadi.tables import std_text, value_text
@@ -145,7 +146,8 @@ def _selected(steps: Sequence[Step]) -> str:
             effect = make(step.effect) if step.effect in REGISTER else None
             if effect is not None and is_delay(effect):
                 return "; a joint that sticks for a moment at each reversal may look the same"
-            if effect is not None and follows_temperature(effect):
+            sure = step.evidence.deviations >= DiagnosisOptions().name_deviations
+            if effect is not None and follows_temperature(effect) and sure:
                 return "; friction that changes at one instant may look the same"
             return f"; its gain{where} is only {step.evidence.deviations:.1f} standard errors"
         return ""

@@ -18,7 +18,7 @@ from lieid_casadi.diagnosis.step import Rival
 EXACT = 1e-6  # part of a torque by which exact rivals differ
 LEAST_GAIN = 0.5  # of an effect's gain in its place
 EXAMINED = 8  # candidates with the largest gains that can replace most of the effect's torque
-INSTANTS, INSTANT = 30, 1  # that a sudden change is tried at, and its parameters
+INSTANTS = 30  # at which a sudden change is tried
 BLOCK = 1.0  # s, at least, of blocks whose errors are compared
 
 
@@ -68,7 +68,7 @@ def changes_at_once(found: Round, slot: Slot, others: Sequence[int], deviations:
     friction = rows.friction_columns[joint] * rows.weights(found.spread)[joint][:, None]
     beside, block = [found.paths.outside(g) for g in others], _blocks(found)
     mine = _squares(found, [*beside, found.paths.outside(slot.group)], block)
-    parameters = INSTANT + friction.shape[1] - found.candidate(slot.group).parameters
+    parameters = friction.shape[1] + 1 - found.candidate(slot.group).parameters  # the instant
     lines = [line[rows.runs[joint].all] for line in (rows.times, since_start)]
     places = np.linspace(0.0, 1.0, INSTANTS + 2)[1:-1]
     for later in (line >= x for line in lines for x in np.quantile(line, places)):

@@ -25,6 +25,7 @@ from lieid_casadi.excitation.sample_functions import FittedArm
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.identification import Fit
 
+LEVEL = 0.95  # of the test and its power
 TRIED = 12  # random motions from which separability and sizes are determined
 REFINED = 3  # of the best random motions
 
@@ -35,7 +36,7 @@ def discriminate(
     effects: Sequence[str] | Sequence[Sequence[str]],
     *,
     sizes: Mapping[str, Sequence[float]] | None = None,
-    level: float = 0.95,
+    level: float = LEVEL,
     duration: float = 10.0,
     harmonics: int = 5,
     start_pose: ArrayLike | None = None,
@@ -170,14 +171,13 @@ def separating_seconds(
     *,
     sizes: Mapping[str, Sequence[float]],
     velocity: Array,
-    level: float = 0.95,
 ) -> float:
     """Return how long a stated motion must be repeated to separate effects, as `discriminate`, s.
 
     ``velocity`` (n,) are the speed limits. A `NoSolution` if no time suffices.
     """
     duration = float(motion.t[-1])
-    groups = _groups(fit, effects, sizes, duration=duration, velocity=velocity, level=level)
+    groups = _groups(fit, effects, sizes, duration=duration, velocity=velocity, level=LEVEL)
     for group in groups:
         group.prepare([motion])
     return duration / min(group.worst(motion) for group in groups)

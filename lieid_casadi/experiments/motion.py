@@ -310,7 +310,9 @@ class MotionDesign:
         sweep = self._sweep(joints, CREEP_SPEEDS, recordings)
         if sweep is None:
             return None
-        sizes = {x: v for g in groups for x, v in rival_sizes(found, ("", *g), recordings).items()}
+        fitted = {placement.label for placement in found.model.placements}
+        new = [label for group in groups for label in group if label not in fitted]
+        sizes = rival_sizes(found, ("", *new), recordings)
 
         def needed(motion: MotionSamples) -> float:
             every = max(round(self.rate / SWEEP_RATE), 1)

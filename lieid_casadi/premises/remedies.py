@@ -80,7 +80,7 @@ class Wrong:
             own.premise,
             own.joints or most_shown(self.ratios),
             own.value,
-            text.format(remedy) + self.added,
+            text.replace("{}", remedy) + self.added,
             remedy,
             certain=self.certain,
             error_before=rounded(self.before),

@@ -43,7 +43,7 @@ def test_constant_results():
 )
 def test_every_effect_has_the_columns_of_the_compiled_model(label):
     from lieid_casadi import plant
-    from lieid_casadi.identification.regression.effect_columns import signals_along
+    from lieid_casadi.identification.regression.segment_columns import signals_along
     from lieid_casadi.recording import Processing, process
 
     robot = lieid.robots.two_link()

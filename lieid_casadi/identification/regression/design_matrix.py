@@ -21,7 +21,6 @@ from lieid_casadi.compiled.compiled_model import Part
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.expressions.effect_function import EffectFunction
-from lieid_casadi.identification.regression.effect_columns import filtered_columns, signals_along
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
     Indices,
@@ -29,7 +28,12 @@ from lieid_casadi.identification.regression.least_squares import (
     Rows,
     combine,
 )
-from lieid_casadi.identification.regression.segment_columns import effect_signals, model_along
+from lieid_casadi.identification.regression.segment_columns import (
+    effect_signals,
+    filtered_columns,
+    model_along,
+    signals_along,
+)
 from lieid_casadi.model import Model
 from lieid_casadi.recording.filtering import Window
 from lieid_casadi.recording.processed import Processed
