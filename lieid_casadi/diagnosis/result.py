@@ -208,7 +208,7 @@ class Diagnosis:
         if self.expected is not None or np.any(values < SAME * errors[-1]):
             rows.append([reference, *map(figures, values)])
         else:
-            reference = "last row"  # the noise floor would repeat its numbers
+            reference += ", as the last row"  # which it would repeat
         about = f"; {reference}: {source}" if np.isfinite(values).any() else ""
         return make_table(
             f"RMS error on the {measured}, N·m (low-pass {self.fit.processing.cutoff:.3g} Hz"
