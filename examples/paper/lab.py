@@ -163,7 +163,7 @@ class Lab:
                 lieid.compile(lieid.Model(ROBOT, effects=effects)),
                 paper_filtered(self.training, CUTOFF),
                 method=method,
-            )
+            ).complete()
             for name, effects, method in (
                 ("Eq. 10", EQ_10, "wls"),
                 ("Eq. 16", EQ_16, "wls"),

@@ -41,7 +41,7 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.fit_warnings import OF_LIMIT, OF_NUMBERS
-from lieid_casadi.identification.identify import Method, identify_segments
+from lieid_casadi.identification.identify import Estimated, Method, identify_segments
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import FilteredColumns
@@ -90,7 +90,7 @@ class MissingEffects:
         self.apart: list[list[Array]] = []  # columns of what differs between the recordings
         self.unseen: UnseenMotion | None = None
         self.gains: dict[str, MotionGain] = {}  # of the final fit's effects
-        self.fits: dict[frozenset[str], Fit] = {}  # by the effects that are added
+        self.fits: dict[frozenset[str], Estimated] = {}  # by the effects that are added
 
     def diagnosis(self, seed: int) -> Diagnosis:
         """Return the diagnosis."""
@@ -164,7 +164,7 @@ class MissingEffects:
         """
         accepted, rounds = list[Accepted](), 0
         if any(_is_limit(c) for c in rows.candidates):
-            found = search(rows, self.options, wanted=_is_limit)
+            found = search(rows, self.options, wanted=_is_limit, with_smooth=False)
             self.unseen = UnseenMotion.of(rows, found.folds)
             fit, accepted = self._limits(self._accepted(found, accepted))
             if accepted:
@@ -203,6 +203,7 @@ class MissingEffects:
             self._beside(fit, rows),
             self.options,
             wanted=lambda c: self._is_wanted(c) and c.name in common and not c.reaches_all,
+            with_smooth=False,
         )
         new = self._accepted(found, accepted)
         return self._plausible([*accepted, *new]) if new else (fit, accepted)
@@ -220,6 +221,7 @@ class MissingEffects:
             self.options,
             wanted=lambda c: self._is_wanted(c) and is_delay(c.effect),
             beside_friction=False,
+            with_smooth=False,
         )
         new = [replace(a, certain=False) for a in self._accepted(found, accepted)]
         return self._plausible([*accepted, *new]) if new else (fit, accepted)
@@ -257,6 +259,7 @@ class MissingEffects:
         """Return the fit with all effects that the final model needs, and these effects."""
         fit, accepted = self._with_other_forms(fit, accepted)
         while True:
+            fit = self._complete(accepted)
             needed = self._needed(fit, accepted)
             if len(needed) == len(accepted):
                 return fit, accepted
@@ -275,13 +278,13 @@ class MissingEffects:
                 fewer = found.candidate.parameters < sum(a.candidate.parameters for a in alike)
                 most = fit.rms_cv[j] * (1.0 - self.options.worth) ** (-1 if fewer else 1)
                 try:
-                    other = self._new_fit(others, uncertainty=False)
+                    other = self._fitted(others)
                 except NoSolution:
                     continue
                 doubtful = any(self._reason_against(other, each) for each in others)
                 if doubtful or other.rms_cv[j] > most:
                     continue
-                other = self._fitted(others)
+                other = self._complete(others)
                 if not found.determined(other, self.options.gain_deviations):
                     continue
                 errors = float(fit.rms_cv[j]), float(other.rms_cv[j])
@@ -461,28 +464,33 @@ class MissingEffects:
         return reason_against(found.candidate, shapes, values, self.segments)
 
     def _fitted(self, added: Sequence[Accepted]) -> Fit:
-        """Return the fit of the first model with further effects, as `identify` fits it."""
+        """Return the values of the first model with further effects, as `identify` fits it."""
+        return self._estimated(added).fit if added else self.first
+
+    def _complete(self, added: Sequence[Accepted]) -> Fit:
+        """Return the same fit with its uncertainty."""
         if not added:
             return self.first
+        key, found = frozenset(a.placement.label for a in added), self._estimated(added)
+        fit = found.complete()
+        self.fits[key] = Estimated(fit, lambda: fit)
+        return fit
+
+    def _estimated(self, added: Sequence[Accepted]) -> Estimated:
         key = frozenset(a.placement.label for a in added)
         if key not in self.fits:
-            self.fits[key] = self._new_fit(added)
+            own = self.first.model
+            placements = [*own.placements, *(a.placement for a in added)]
+            effects = Model.of_placements(own.robot, placements).effects
+            self.fits[key] = identify_segments(
+                compile(Model(own.robot, effects=effects, library=own.library)),
+                self.segments,
+                method=self.method,
+                known=self.known,
+                temperature_mean=self.first.temperature_mean,
+                provenance=self.first.provenance,
+            )
         return self.fits[key]
-
-    def _new_fit(self, added: Sequence[Accepted], *, uncertainty: bool = True) -> Fit:
-        own = self.first.model
-        placements = [*own.placements, *(a.placement for a in added)]
-        effects = Model.of_placements(own.robot, placements).effects
-        compiled = compile(Model(own.robot, effects=effects, library=own.library))
-        return identify_segments(
-            compiled,
-            self.segments,
-            method=self.method,
-            uncertainty=uncertainty,
-            known=self.known,
-            temperature_mean=self.first.temperature_mean,
-            provenance=self.first.provenance,
-        )
 
 
 def _is_limit(candidate: Candidate) -> bool:

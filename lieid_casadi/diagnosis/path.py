@@ -145,8 +145,10 @@ class Paths:
 
     def grams(self, a: Array, b: Array) -> Array:
         """Return the products within groups of columns of a (p, m) with those of b."""
-        first, second = self.columns.pairs
-        return np.asarray(np.einsum("pi,pi->i", a[:, first], b[:, second]))
+        found, rows, others = np.zeros(len(self.columns.pairs[0])), a.T.copy(), b.T.copy()
+        for gram, (_, places) in zip(self.columns.within(found), self.columns.by_size, strict=True):
+            gram[:] = rows[places] @ others[places].swapaxes(1, 2)
+        return found
 
     def _rows(self, part: int, j: int) -> tuple[slice | Mask, Array]:
         """Return the rows of joint j that a path leaves out, and the columns there; −1 for all."""
@@ -174,10 +176,9 @@ class Paths:
 
     def _outside(self, raw: Products, qq: Array, qr: Array) -> Products:
         """Return the products of the columns outside the span from those of the columns."""
-        along = self._along
-        inner = raw.inner - self.grams(along, raw.qz) - self.grams(raw.qz, along)
-        inner = inner + self.grams(along, qq @ along)
-        return Products(qq, qr, raw.qz - qq @ along, raw.zr - along.T @ qr, inner)
+        along, qz = self._along, raw.qz - qq @ self._along
+        inner = raw.inner - self.grams(along, raw.qz) - self.grams(qz, along)
+        return Products(qq, qr, qz, raw.zr - along.T @ qr, inner)
 
     def cross(self, group: int, part: int) -> Array:
         """Return the products (m, k) of all columns with those of a group, on a path's rows."""

@@ -73,12 +73,14 @@ def search(
     prior: Array | None = None,
     noise: Sequence[Noise] | None = None,
     beside_friction: bool = True,
+    with_smooth: bool = True,
 ) -> Round:
     """Return the effects of a path on all rows, judged on held-out parts.
 
     ``wanted`` chooses the candidates, ``prior`` (k, p) are rows that state the uncertainty of a
     model that is kept, ``noise`` that of each joint (by default that of the residual beside the
-    path). Without ``beside_friction`` a delay may explain what late friction does.
+    path). Without ``beside_friction`` a delay may explain what late friction does; ``with_smooth``
+    adds smooth functions to the candidates.
     """
     # smooth functions are chosen anew for every residual
     rows = rows.with_candidates([c for c in rows.candidates if c.name != SMOOTH and wanted(c)])
@@ -93,10 +95,10 @@ def search(
         refined = _refined(paths, whole, rows)
         rows = rows.with_candidates(refined)
         paths = Paths(*_weighted(rows, scale, prior), nothing)
-    rest = _residual_beside(paths, whole, rows, scale)
-    smooth = smooth_candidates(rows, [rest, _residual_beside(paths, (), rows, scale)], scale)
-    known = {c.label: c for c in smooth if wanted(c)}
-    rows = rows.with_candidates([*rows.columns.owners, *known.values()])
+    if with_smooth:
+        rests = [_residual_beside(paths, groups, rows, scale) for groups in (whole, ())]
+        known = {c.label: c for c in smooth_candidates(rows, rests, scale) if wanted(c)}
+        rows = rows.with_candidates([*rows.columns.owners, *known.values()])
     if prior is None:
         rows = _with_single_recordings(rows)
     paths = Paths(*_weighted(rows, scale, prior), nothing)

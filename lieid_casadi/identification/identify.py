@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -14,7 +14,12 @@ from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import IdentificationError, LieidWarning, unique_warnings
 from lieid_casadi.identification import fit_warnings
-from lieid_casadi.identification.feasible.feasible_fit import certify, make_feasible, mass_warnings
+from lieid_casadi.identification.feasible.feasible_fit import (
+    ConsistentFit,
+    certify,
+    make_feasible,
+    mass_warnings,
+)
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import center_temperature, training_rms
 from lieid_casadi.identification.recording_checks import Provenance, Source, check_recordings
@@ -25,7 +30,7 @@ from lieid_casadi.identification.regression.cross_validation import (
     fold_factors,
 )
 from lieid_casadi.identification.regression.design_matrix import Design, FilteredColumns
-from lieid_casadi.identification.regression.fixed_point import Progress, fixed_point
+from lieid_casadi.identification.regression.fixed_point import FitState, Progress, fixed_point
 from lieid_casadi.identification.regression.least_squares import conditioning, solve, stacked
 from lieid_casadi.identification.uncertainty.covariance import fit_covariance
 from lieid_casadi.identification.uncertainty.noise_model import Noise, residual_noise
@@ -128,9 +133,21 @@ def identify(
         provenance=_provenance(given),
         warnings=found,
         report=report,
-    )
+    ).complete()
     report("done", 1.0)
     return fit
+
+
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """A fit, and the same with its uncertainty, which takes longer than the values.
+
+    Without it the covariance and the training errors are NaN, the residual's noise is white, and
+    there is no certificate.
+    """
+
+    fit: Fit
+    complete: Callable[[], Fit]
 
 
 def identify_segments(
@@ -142,12 +159,11 @@ def identify_segments(
     provenance: Provenance | None = None,
     regularization: float | None = None,
     held_shapes: Array | None = None,
-    uncertainty: bool = True,
     held_out: bool = True,
     known: Sequence[FilteredColumns] | None = None,
     warnings: Sequence[LieidWarning] = (),
     report: Progress = lambda stage, fraction: None,
-) -> Fit:
+) -> Estimated:
     """Fit a compiled model to segments that were checked and processed before.
 
     The one procedure behind `identify`, `extend`, the page and `diagnose`. The result follows from
@@ -157,9 +173,7 @@ def identify_segments(
     shapes nor any other value of one effect's shapes lowers the weighted error (`shape_scan`).
 
     Temperatures of the segments are relative to ``temperature_mean`` (n,), °C; ``known`` columns
-    are shared by fits of models of one robot (`Design`). False for ``uncertainty`` leaves the
-    covariance and the training errors NaN and the residual's noise white: for models of which only
-    values are compared, since these take longer than the fit. False for ``held_out`` leaves the
+    are shared by fits of models of one robot (`Design`). False for ``held_out`` leaves the
     cross-validated error NaN, for models that are compared with other recordings.
     """
     model, found = compiled.model, list(warnings)
@@ -173,45 +187,59 @@ def identify_segments(
             "no joint moves in the recordings: at rest dry friction is undetermined, and with it "
             "all other torques; expected motion"
         )
-    least = state
+    least, consistent = state, None
     folds: tuple[Fold, ...] = ()
     if held_out:
         folds = fold_factors(design, state.rows, state.weighting.noise, state.solution.values)
     unweighted = stacked(state.rows)
     found += fit_warnings.of_regression(model, segments, state, unweighted, settled=settled)
-    rms = rms_raw = np.full(model.n, np.nan)
-    if uncertainty:
-        found += fit_warnings.limits_of_drives(design, state.rows)
-        rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
     estimate: Estimate = lambda factor: solve(factor).values  # noqa: E731
-    certificate = None
     if method == "feasible":
         consistent = make_feasible(design, state, folds, regularization, report)
-        rms_wls, state, estimate = rms, consistent.state, consistent.estimate
-        rms, rms_raw = training_rms(compiled, segments, state.parameters, state.shapes)
-        certificate = certify(design, consistent, rms, rms_wls)
+        state, estimate = consistent.state, consistent.estimate
         found += [*consistent.warnings, *mass_warnings(model.robot, state.parameters)]
     found += fit_warnings.bounds(design, least, state)
     report("evaluate", 0.9)
-    ends = None
-    if uncertainty:
-        covariance, noise = fit_covariance(design, state), residual_noise(compiled, segments, state)
-        if least.scan is not None:
-            intervals = shape_intervals(design, least, covariance)
-            found += open_intervals(design, least, intervals)
-            ends = np.column_stack([intervals.low, intervals.high])
-    else:
-        covariance = np.full((len(state.solution.values) + len(state.shapes),) * 2, np.nan)
-        noise = tuple(Noise.white(float(spread)) for spread in state.weighting.noise)
-    return Fit(
+    unknown = np.full(model.n, np.nan)
+    fit = Fit(
         model=model, method=method, values=state.solution.values, shapes=state.shapes,
-        covariance=covariance, shape_intervals=ends, parameters=state.parameters,
-        noise=state.weighting.noise, residual_noise=noise,
-        rms_train=rms, rms_train_raw=rms_raw,
-        rms_cv=cross_validated_rms(folds, estimate) if folds else np.full(model.n, np.nan),
+        covariance=np.full((len(state.solution.values) + len(state.shapes),) * 2, np.nan),
+        parameters=state.parameters, noise=state.weighting.noise,
+        residual_noise=tuple(Noise.white(float(spread)) for spread in state.weighting.noise),
+        rms_train=unknown, rms_train_raw=unknown,
+        rms_cv=cross_validated_rms(folds, estimate) if folds else unknown,
         processing=segments[0].options, conditioning=conditioning(unweighted, model.base),
         warnings=unique_warnings(found), provenance=provenance or Provenance(_version(), ()),
-        temperature_mean=temperature_mean, certificate=certificate,
+        temperature_mean=temperature_mean,
+    )  # fmt: skip
+    return Estimated(fit, lambda: _with_uncertainty(fit, design, least, state, consistent))
+
+
+def _with_uncertainty(
+    fit: Fit, design: Design, least: FitState, state: FitState, consistent: ConsistentFit | None
+) -> Fit:
+    """Return a fit with what `Estimated` leaves out.
+
+    ``least`` has the least-squares values, ``state`` those of the fit; they differ if it is
+    ``consistent``.
+    """
+
+    def errors(of: FitState) -> tuple[Array, Array]:
+        return training_rms(design.compiled, design.segments, of.parameters, of.shapes)
+
+    (rms, rms_raw), certificate, ends = errors(state), None, None
+    if consistent is not None:
+        certificate = certify(design, consistent, rms, errors(least)[0])
+    covariance = fit_covariance(design, state)
+    found = [*fit.warnings, *fit_warnings.limits_of_drives(design, least.rows)]
+    if least.scan is not None:
+        intervals = shape_intervals(design, least, covariance)
+        found += open_intervals(design, least, intervals)
+        ends = np.column_stack([intervals.low, intervals.high])
+    return replace(
+        fit, covariance=covariance, shape_intervals=ends, warnings=unique_warnings(found),
+        residual_noise=residual_noise(design.compiled, design.segments, state),
+        rms_train=rms, rms_train_raw=rms_raw, certificate=certificate,
     )  # fmt: skip
 
 

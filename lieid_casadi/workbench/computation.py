@@ -405,12 +405,11 @@ class PreparedRecordings:
     ) -> Fit:
         """Return the fit of another model with the method and filter of the first one."""
         check_recordings(model, self.recordings)
-        return identify_segments(
+        found = identify_segments(
             compile(model),
             self.segments,
             method="wls",
             held_shapes=held_shapes,
-            uncertainty=uncertainty,
             held_out=held_out,
             temperature_mean=first.temperature_mean,
             provenance=first.provenance,
@@ -418,6 +417,7 @@ class PreparedRecordings:
             warnings=self.warnings,
             report=report,
         )
+        return found.complete() if uncertainty else found.fit
 
     def compared(self, fit: Fit, *, with_noise: bool) -> Comparison:
         """Return the comparison of a fit with these recordings."""
