@@ -29,13 +29,7 @@ def constant(values: ArrayLike) -> ca.SX:
 
 def hat(w: ca.SX) -> ca.SX:
     """Return the skew matrix (3, 3) of a vector (3,): hat(w)·x = w × x."""
-    skew = ca.SX(3, 3)
-    for row, column, index, sign in (
-        (0, 1, 2, -1), (0, 2, 1, 1), (1, 0, 2, 1), (1, 2, 0, -1), (2, 0, 1, -1), (2, 1, 0, 1),
-    ):  # fmt: skip
-        if w[index].nnz():
-            skew[row, column] = sign * w[index]
-    return skew
+    return ca.sparsify(ca.skew(w))
 
 
 def cross(a: ca.SX, b: ca.SX) -> ca.SX:

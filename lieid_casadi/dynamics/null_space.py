@@ -12,7 +12,7 @@ gravity and special geometries need no separate treatment.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,12 +68,16 @@ class _JointGeometry:
         self.axis = joint.axis
         self.revolute = joint.revolute
         start = relative(parent_home, joint.home)
-
-        def here(q: float) -> Array:
-            return start @ _exponential(joint, q)
-
-        self.transport = _coefficients(lambda q: parameter_transport(here(q)), joint.revolute)
-        self.adjoint = _coefficients(lambda q: _inverse_adjoint(here(q)), joint.revolute)
+        nodes = 2 * np.pi * np.arange(5) / 5 if joint.revolute else np.array([-1.0, 0.0, 1.0])
+        poses = [start @ _exponential(joint, float(q)) for q in nodes]
+        basis = [np.ones_like(nodes), nodes, nodes**2]
+        if joint.revolute:
+            basis = [basis[0], *(f(k * nodes) for k in (1, 2) for f in (np.cos, np.sin))]
+        inverse = np.linalg.inv(np.array(basis).T)
+        self.transport, self.adjoint = (
+            list(rounded(np.tensordot(inverse, [matrix(pose) for pose in poses], axes=1)))
+            for matrix in (parameter_transport, _inverse_adjoint)
+        )
 
 
 class _Functionals:
@@ -125,20 +129,6 @@ class _Functionals:
         turned = [self.potential @ p for p in joint.transport[1:]]
         after.varying = _span(np.vstack([*varying, *turned]))
         return after
-
-
-def _coefficients(function: Callable[[float], Array], revolute: bool) -> list[Array]:
-    """Return the exact coefficients of a trigonometric (or plain) polynomial of degree 2."""
-    nodes = 2 * np.pi * np.arange(5) / 5 if revolute else np.array([-1.0, 0.0, 1.0])
-    one = np.ones_like(nodes)
-    basis = (
-        [one, np.cos(nodes), np.sin(nodes), np.cos(2 * nodes), np.sin(2 * nodes)]
-        if revolute
-        else [one, nodes, nodes**2]
-    )
-    values = np.array([function(float(q)) for q in nodes])
-    inverse = np.linalg.inv(np.array(basis).T)
-    return list(rounded(np.tensordot(inverse, values, axes=1)))
 
 
 def _exponential(joint: Joint, q: float) -> Array:

@@ -14,10 +14,7 @@ def rigid_torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
     """Return the rigid torques (N, n) of a ``pinocchio.Model`` along a path (N, n), N·m."""
     import pinocchio as pin
 
-    data = model.createData()
-    tau = np.empty_like(q)
-    for k in range(q.shape[0]):
-        tau[k] = pin.rnea(model, data, q[k], dq[k], ddq[k])
+    tau: Array = pin.rneaInParallel(1, pin.ModelPool(model, 1), q.T, dq.T, ddq.T).T
     return tau
 
 

@@ -61,9 +61,10 @@ def measure(
     t = motion.t[rows]
     torque = _torque(arm, motion, t)
     torque = torque + random[1].standard_normal(torque.shape) * _each(sensors.torque_noise)
-    torque = torque + _each(sensors.coloured_noise) * coloured_noise(
-        t, arm.n, sensors.correlation_time, random[2]
-    )
+    if np.any(sensors.coloured_noise):
+        torque = torque + _each(sensors.coloured_noise) * coloured_noise(
+            t, arm.n, sensors.correlation_time, random[2]
+        )
     temperature = None
     if sensors.temperature:
         noisy = motion.temperature[rows] + 0.05 * random[4].standard_normal(torque.shape)
@@ -117,11 +118,12 @@ def sampled_rows(t: Array, rate: float | None) -> NDArray[np.intp]:
 
 def coloured_noise(t: Array, n: int, correlation_time: float, random: np.random.Generator) -> Array:
     """Return first-order stationary noise (N, n) of unit variance, correlation exp(−Δt/time)."""
-    white = random.standard_normal((t.size, n))
-    keep = np.exp(-np.diff(t) / correlation_time)
+    noise = random.standard_normal((t.size, n))
+    keep = np.exp(-np.diff(t) / correlation_time)[:, None]
+    noise[1:] *= np.sqrt(1.0 - keep**2)
     for k in range(1, t.size):
-        white[k] = keep[k - 1] * white[k - 1] + np.sqrt(1.0 - keep[k - 1] ** 2) * white[k]
-    return white
+        noise[k] += keep[k - 1] * noise[k - 1]
+    return noise
 
 
 def _encoder(arm: Arm, motion: TrueMotion, sensors: Sensors, random: np.random.Generator) -> Array:
