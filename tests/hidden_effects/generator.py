@@ -151,7 +151,7 @@ def _finish(
     runs = range(len(setup.plans))
     for attempts_left in (3, 2, 1, 0):
         arms = [world.hide(with_hidden(setup, hidden, strengths, k), k) for k in runs]
-        counted = _moved(setup, arms, setup.counts)
+        counted = moved(setup, arms, setup.counts)
         sized = _sized(setup, hidden, strengths, counted)
         ratios = [target / s["size"] for target, s in zip(targets, sized, strict=True)]
         if not attempts_left or all(abs(ratio - 1.0) < SIZE_TOLERANCE for ratio in ratios):
@@ -161,7 +161,7 @@ def _finish(
                 setup = setup.with_noise(1.0 / ratio)
                 ratios = [r / ratio for r in ratios]
         strengths = [min(s * r, h.most) for s, r, h in zip(strengths, ratios, hidden, strict=True)]
-    motions = [counted if k == setup.counts else _moved(setup, arms, k) for k in runs]
+    motions = [counted if k == setup.counts else moved(setup, arms, k) for k in runs]
     names = {h.effect for h in hidden}
     random = np.random.default_rng([zlib.crc32(case.name.encode()), 7])
     column = bool(random.random() < 0.35) and "warm_up" not in names
@@ -194,7 +194,8 @@ def _finish(
     return Drawn(setup.arm_name, tuple(arms), tuple(motions), sensors, setup.noise, world, truth)
 
 
-def _moved(setup: CaseSetup, arms: list[Arm], run: int) -> TrueMotion:
+def moved(setup: CaseSetup, arms: list[Arm], run: int) -> TrueMotion:
+    """Return the motion of a run."""
     if setup.simulated:
         return move(arms[run], setup.plans[run], rate=CONTROL_RATE)
     t, path = planned(setup, run, FINE_RATE)

@@ -1,7 +1,8 @@
 """A small part of the benchmark: the first cases of its fixed order, without a controller.
 
-The whole benchmark is ``python tests/hidden_effects/run.py``. The number of correct results
-required here is reached in 97.5 % of draws by a program that meets the goals exactly.
+The whole benchmark is ``python tests/hidden_effects/run.py``. The number of correct results that
+slow tests require is reached in 97.5 % of draws by a program that meets the goals exactly; the few
+cases of the others must all be right.
 """
 
 import warnings
@@ -17,14 +18,11 @@ from scipy.stats import binom
 STRONG = (
     "missing-single-armature-5x-0",
     "missing-single-base_tilt-5x-2",
-    "missing-single-encoder_offset-5x-2",
-    "missing-single-viscous_polynomial-5x-2",
 )
 NOTHING = tuple(f"missing-none-{k}" for k in (62, 26))
 VIOLATED = ("missing-world-torque_filter-0", "missing-world-shared_noise-0")
 FOREIGN = ("missing-foreign-slow_hum-5x-0", "missing-foreign-spring_from_other-5x-0")
-CHANGED = ("changed-single-payload-2x-0", "changed-single-payload-1x-0")
-UNCHANGED = ("changed-none-28", "changed-none-58")
+CHANGED, UNCHANGED = "changed-single-payload-2x-0", "changed-none-28"
 
 
 def required(count, rate):
@@ -55,8 +53,9 @@ def test_the_small_part_is_the_first_of_the_order():
     assert not draw(first[0]).truth["simulated"]
 
 
-def test_strong_effects_are_named_and_no_others():
-    assert_enough(STRONG, 0.95)
+@pytest.mark.parametrize("name", [*STRONG, CHANGED, UNCHANGED])
+def test_strong_effects_are_named_and_no_others(name):
+    assert_enough([name], 1.0)
 
 
 @pytest.mark.slow
@@ -79,14 +78,6 @@ def test_no_effects_are_added_that_cancel_each_other():
     """Two of them fit a peak of friction by 30 times the joint's torque, at trained speeds only."""
     case = Case.parse("missing-foreign-friction_peak-5x-100")
     assert run_case(case, true_model=True)["plain_ratio"] < 0.5
-
-
-def test_changes_are_named():
-    assert_enough(CHANGED, 0.95)
-
-
-def test_unchanged_arms_are_sufficient():
-    assert_enough(UNCHANGED, 0.95)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Premises that a recording contradicts are found, on simulated arms; sound ones are not."""
 
 import json
+import zlib
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -8,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hidden_effects.arms import load_arm
-from hidden_effects.case_setup import Case
-from hidden_effects.generator import draw
+from hidden_effects.case_setup import Case, draw_setup, with_hidden
+from hidden_effects.generator import moved
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -141,10 +142,12 @@ def test_a_coupling_that_its_own_joint_does_not_show_is_none():
 
 @cache
 def drawn_run(k):
-    """Arm and recording of a simulated arm of the benchmark."""
-    drawn = draw(Case("none", 100 + k))
-    made = plant.measure(drawn.arms[0], drawn.motions[0], drawn.sensors, seed=k)
-    return load_arm(drawn.arm_name), made
+    """Arm and first recording of a case of the benchmark without hidden effects."""
+    case = Case("none", 100 + k)
+    setup = draw_setup(case, np.random.default_rng([zlib.crc32(case.name.encode()), 0]), 1.0)
+    arm = with_hidden(setup, [], [], run=0)
+    made = plant.measure(arm, moved(setup, [arm], 0), setup.sensors, seed=k)
+    return load_arm(setup.arm_name), made
 
 
 def test_small_torques_of_several_joints_show_a_unit():
