@@ -4,7 +4,7 @@ import pytest
 from fuzz.formats import FORMATS
 from fuzz.supervisor import LoadingProcess, fuzz
 
-SHORT, LONG = 120, 400
+SHORT, LONG = 80, 400
 
 
 @pytest.fixture(scope="module")
