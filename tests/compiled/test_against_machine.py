@@ -32,6 +32,7 @@ ROBOTS = {
     "mixed_1": lambda: random_arm(np.random.default_rng(3), 1),
     "one_slide": lambda: sliding_robot(),
 }
+LARGE = ("panda", "revolute_6")
 
 
 def sliding_robot():
@@ -76,8 +77,8 @@ def on_machine(model):
 @pytest.mark.parametrize(
     ("name", "lanes"),
     [
-        *((name, LANES[0]) for name in ROBOTS if name != "revolute_6"),
-        pytest.param("revolute_6", LANES[0], marks=pytest.mark.slow),
+        *((name, LANES[0]) for name in ROBOTS if name not in LARGE),
+        *(pytest.param(name, LANES[0], marks=pytest.mark.slow) for name in LARGE),
         ("mixed_4", LANES[-1]),
         *(pytest.param("mixed_4", lanes, marks=pytest.mark.slow) for lanes in LANES[1:-1]),
     ],

@@ -220,7 +220,7 @@ def test_a_torque_of_the_own_signals_is_one_smooth_function(torque, labels, rema
     assert after < remains * before
 
 
-@pytest.mark.parametrize("speed", [0.6, 1.0])
+@pytest.mark.parametrize("speed", [0.6, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_friction_with_a_peak_at_one_speed_is_a_smooth_function_of_the_velocity(speed):
     size = float(plant.torque_scale(ROBOT)[0])
 
@@ -236,7 +236,7 @@ def test_friction_with_a_peak_at_one_speed_is_a_smooth_function_of_the_velocity(
     assert step.errors["rms_test"][0] < 0.35 * before
 
 
-@pytest.mark.parametrize("speed", [0.1, 0.2, 0.4])
+@pytest.mark.parametrize("speed", [0.1, pytest.param(0.2, marks=pytest.mark.slow), 0.4])
 def test_another_form_of_friction_over_speed_is_in_the_place_of_what_imitates_it(speed):
     """Friction that falls as e^{−|q̇|/v}, neither Gaussian nor a polynomial of the velocity."""
     size = 0.4 * float(plant.torque_scale(ROBOT)[0])

@@ -2,6 +2,7 @@
 
 import ctypes
 import dataclasses
+import re
 
 import numpy as np
 import pinocchio as pin
@@ -25,7 +26,7 @@ class Exported:
 
     def __init__(self, fit, folder):
         export(fit, folder, to="c")
-        self.fit, self.n, self.c = fit, fit.model.n, library(folder)
+        self.fit, self.n, self.folder, self.c = fit, fit.model.n, folder, library(folder)
         self.sample = sample_type(self.n)
         self.state = ctypes.create_string_buffer(4096)
 
@@ -59,6 +60,21 @@ class Exported:
 @pytest.fixture(scope="module", params=["panda", "sliding", "presliding"])
 def arm(request, tmp_path_factory):
     return Exported(ARMS[request.param](), tmp_path_factory.mktemp("values") / "arm")
+
+
+LIBM = {"sin", "cos", "exp", "tanh", "fabs", "sqrt"}
+COPIES = {"memcpy", "memset"}  # of structs and small arrays; no part of libm
+
+
+def test_symbols_are_functions_and_constants_and_few_of_libm(arm):
+    for name in ("arm", "arm_parameters"):
+        command = ["gcc", "-std=c99", "-O0", "-fno-builtin", "-c", f"{name}.c", "-o", f"{name}.o"]
+        run(command, arm.folder)
+        kinds = set(re.findall(r"^[0-9a-f]+ (\w) ", run(["nm", f"{name}.o"], arm.folder), re.M))
+        assert kinds <= set("TtRr")
+    needed = set(re.findall(r"U (\w+)", run(["nm", "-u", "arm.o"], arm.folder)))
+    assert needed - COPIES <= LIBM
+    assert {"sin", "cos"} <= needed
 
 
 @pytest.fixture

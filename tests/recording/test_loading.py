@@ -3,7 +3,6 @@
 import hashlib
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -89,6 +88,8 @@ def test_currents_become_torques_where_there_are_none(tmp_path):
 
 
 def test_data_frame():
+    import pandas as pd  # takes half a second
+
     frame = pd.DataFrame({"tau1": [5, 6], "q1": [1.0, 2.0], "t": [0, 1], "load": ["a", "b"]})
     recording = Recording.from_dataframe(frame, name="frame")
     np.testing.assert_array_equal(recording.tau, [[5], [6]])
@@ -354,7 +355,8 @@ def test_stated_columns(rec, tmp_path, suffix, stated):
 
 
 def test_stated_columns_of_data_frames_and_whole_arrays(rec, tmp_path):
-    pd = pytest.importorskip("pandas")
+    import pandas as pd
+
     frame = pd.DataFrame({"s": rec.t, "a": rec.q[:, 0], "b": rec.q[:, 1]})
     read = Recording.from_dataframe(frame, columns="t=s,q1=a,q2=b")
     np.testing.assert_array_equal(read.q, rec.q)
