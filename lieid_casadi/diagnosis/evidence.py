@@ -83,8 +83,10 @@ def judge(
     parts: Sequence[Sequence[int]],
     friction: Mapping[str, Array],
     steady: Mask,
-) -> tuple[Slot, ...]:
+) -> tuple[tuple[Slot, ...], Array]:
     """Return the effects of the path on all rows with their gains on the held-out parts.
+
+    Beside them the sum of squared errors (K, n) of each held-out part and joint.
 
     That something changed between recordings is the stronger claim: an effect in one of them is
     that of the arm if a path without some part has this in its place.
@@ -97,26 +99,26 @@ def judge(
     these columns describe friction at reversals and rest roughly, what it explains on the rows
     ``steady`` (R,), away from both, counts.
     """
-    if not whole:
-        return ()
     span, columns = paths.span, paths.columns
-    outside = {g: paths.outside(g) for g in {*whole, *(g for path in parts for g in path)}}
+    every = [*dict.fromkeys([*whole, *(g for path in parts for g in path)])]
+    outside = dict(zip(every, paths.all_outside(every), strict=True))
     n = len(span.ends) - 1
     places = {kind: [-1 - k * n - j for j in range(n)] for k, kind in enumerate(friction)}
     for kind, columns_of in friction.items():
         outside |= {g: span.outside(columns_of[:, [j]]) for j, g in enumerate(places[kind])}
-    together = np.hstack([outside[g] for g in whole])
+    together = np.hstack([np.zeros((len(span.residual), 0)), *(outside[g] for g in whole)])
     both = solved(together.T @ together, together.T @ span.residual)
-    ends = np.cumsum([outside[g].shape[1] for g in whole])[:-1]
-    values = dict(zip(whole, np.split(both, ends), strict=True))
+    ends = np.cumsum([outside[g].shape[1] for g in whole])
+    values = dict(zip(whole, np.split(both, ends.astype(int)), strict=False))
     torque = {g: outside[g] @ values[g] for g in whole}
     members = [_members(whole, path, outside, torque, columns.owner) for path in parts]
     gains = np.zeros((len(whole), folds.count))
+    squares = np.zeros((folds.count, n))
     before, after = np.zeros((2, len(whole), n))
     for k, path in enumerate(parts):
         frictions = [g for own in places.values() for g in own]
         held = HeldOut(span, folds, k, {g: outside[g] for g in (*path, *frictions)})
-        plain = held.squares(path)
+        squares[k] = held.squares(path)
         for e, group in enumerate(whole):
             mine = members[k][group]
             candidate = columns.candidate(group)
@@ -125,7 +127,7 @@ def judge(
             beside = [places[kind][j] for kind in kinds for j in own]
             used = _without_later_functions(path, mine, columns)
             at = steady if "rest" in kinds else None
-            complete = plain
+            complete = squares[k]
             if beside or len(used) < len(path) or at is not None:
                 complete = held.squares([*used, *beside], at)
             rest = [g for g in used if g not in mine]
@@ -157,7 +159,7 @@ def judge(
     of_arm = list(dict.fromkeys(_of_the_arm(slot, columns) for slot in found))
     if of_arm != list(whole):
         return judge(paths, folds, of_arm, parts, friction, steady)
-    return tuple(found)
+    return tuple(found), squares
 
 
 def _of_the_arm(slot: Slot, columns: Columns) -> int:
@@ -184,15 +186,6 @@ def _without_later_functions(
     later = {g for g in path[first:] if isinstance(columns.candidate(g).effect, Smooth)}
     joint = columns.candidate(mine[0]).joint
     return [g for g in path if g not in later or columns.candidate(g).joint != joint]
-
-
-def held_out_squares(paths: Paths, folds: Folds, parts: Sequence[Sequence[int]]) -> Array:
-    """Return the sum of squared errors (K, n) of each held-out part and joint, of K paths."""
-    found = []
-    for k, path in enumerate(parts):
-        held = HeldOut(paths.span, folds, k, {g: paths.outside(g) for g in path})
-        found.append(held.squares(path))
-    return np.array(found)
 
 
 class HeldOut:

@@ -139,9 +139,17 @@ class Paths:
 
     def outside(self, group: int) -> Array:
         """Return a group's columns (R + k, c) on all rows, outside the span."""
-        if group not in self._own:
-            self._own[group] = self.span.outside(self.columns.stacked(group))
-        return self._own[group]
+        return self.all_outside([group])[0]
+
+    def all_outside(self, groups: Sequence[int]) -> list[Array]:
+        """Return the columns of groups; all that are new are projected together."""
+        new = [g for g in dict.fromkeys(groups) if g not in self._own]
+        if new:
+            columns = [self.columns.stacked(g) for g in new]
+            ends = np.cumsum([c.shape[1] for c in columns])[:-1]
+            outside = np.split(self.span.outside(np.hstack(columns)), ends, axis=1)
+            self._own |= zip(new, outside, strict=True)
+        return [self._own[g] for g in groups]
 
     def grams(self, a: Array, b: Array) -> Array:
         """Return the products within groups of columns of a (p, m) with those of b."""
@@ -258,16 +266,14 @@ class PathState:
                 groups, own, inner = groups[here], own[here], inner[here]
             if not len(groups):
                 continue
-            k, gram = own.shape[1], inner.copy()
-            whole, products = np.maximum(norms[own] * share, 1e-300), self.products[own]
-            diagonal = gram.reshape(len(groups), -1)[:, :: k + 1]
-            fine = diagonal.max(axis=1) > LEAST_OWN_PART**2 * whole.max(axis=1)
-            diagonal += RIDGE * whole
-            if k == 1:  # most groups
-                values[own] = products / diagonal
-            else:
-                values[own] = np.linalg.solve(gram, products[..., None])[..., 0]
-            gains[groups] = np.where(fine, np.einsum("gk,gk->g", values[own], products), 0.0)
+            gram, products = inner.copy(), self.products[own]
+            squares = np.maximum(norms[own] * share, 1e-300)
+            diagonal = gram.reshape(len(groups), -1)[:, :: own.shape[1] + 1]
+            least = LEAST_OWN_PART**2 * np.maximum.reduce(squares.T)
+            fine = np.maximum.reduce(diagonal.T) > least
+            diagonal += RIDGE * squares
+            values[own] = found = _solutions(gram, products)
+            gains[groups] = np.where(fine, np.einsum("gk,gk->g", found, products), 0.0)
         return gains, values
 
     @property
@@ -312,6 +318,21 @@ class PathState:
             products=self.products + lost.T @ of_residual,
             inner=self.inner + self.paths.grams(lost, lost),
         )
+
+
+def _solutions(grams: Array, products: Array) -> Array:
+    """Return the solutions (g, k) of systems (g, k, k); nearly all groups have one or two columns.
+
+    Those are solved by Cramer's rule: a call of LAPACK would take longer than the arithmetic.
+    """
+    k = products.shape[1]
+    if k > 2:
+        return np.asarray(np.linalg.solve(grams, products[..., None])[..., 0])
+    if k == 1:
+        return np.asarray(products / grams[:, 0])
+    (a, b), (c, d) = np.moveaxis(grams, 0, -1)
+    x, y = products.T
+    return np.asarray(np.stack([d * x - b * y, a * y - c * x], axis=1) / (a * d - b * c)[:, None])
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,12 +9,12 @@ from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
+from scipy.fft import next_fast_len, rfft
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate, is_form
 from lieid_casadi.diagnosis.columns import Columns
-from lieid_casadi.diagnosis.evidence import Slot, held_out_squares, judge, solved
+from lieid_casadi.diagnosis.evidence import Slot, judge, solved
 from lieid_casadi.diagnosis.folds import Folds, folds_of
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -145,17 +145,16 @@ def _judged(
         found = (forward(few, k, of_few, smooth_first=smooth_first) for k in range(folds.count))
         return [kept[list(path)].tolist() for path in found]
 
-    def judged(path: Sequence[int], parts: Sequence[Sequence[int]]) -> tuple[Slot, ...]:
+    def judged(
+        path: Sequence[int], parts: Sequence[Sequence[int]]
+    ) -> tuple[tuple[Slot, ...], Array]:
         return judge(paths, folds, path, parts, friction, steady)
 
-    parts = outside(())
-    slots = judged(whole, parts)
+    slots, before = judged(whole, outside(()))
     first = {paths.columns.candidate(g).joint for g in other if rules.smooth[g]}
     if set(other) == set(whole) or not first:
         return folds, slots
-    others = outside(first)
-    before, after = (held_out_squares(paths, folds, each) for each in (parts, others))
-    so = judged(other, others)
+    so, after = judged(other, outside(first))
     plain, smooth = _supported(slots, options), _supported(so, options)
     needed = {paths.columns.candidate(g).joint for g in whole if rules.smooth[g]}
     lower = after.sum(axis=0) < before.sum(axis=0)
@@ -165,7 +164,7 @@ def _judged(
     if better == first:
         return folds, so
     if better:
-        slots = judged(forward(paths, -1, rules, smooth_first=better), outside(better))
+        slots, _ = judged(forward(paths, -1, rules, smooth_first=better), outside(better))
     return folds, slots
 
 
@@ -248,7 +247,7 @@ def _dependence(columns: Columns, noise: Sequence[Noise]) -> Array:
             continue
         length = next_fast_len(2 * len(own.matrix), real=True)
         density = np.abs(np.fft.rfft(each.filter, length)) ** -2
-        spectrum = np.abs(np.fft.rfft(own.matrix, length, axis=0)) ** 2
+        spectrum = np.abs(rfft(own.matrix, length, axis=0)) ** 2
         power[own.columns] += spectrum.sum(axis=0)
         coloured[own.columns] += density @ spectrum / density.mean()
     ratio = np.divide(coloured, power, out=np.ones(columns.count), where=power > 0.0)
@@ -283,7 +282,7 @@ def residual_beside(paths: Paths, groups: Sequence[int]) -> Array:
     span = paths.span
     if not groups:
         return span.residual
-    outside = np.hstack([paths.outside(g) for g in groups])
+    outside = np.hstack(paths.all_outside(groups))
     values = solved(outside.T @ outside, outside.T @ span.residual)
     return np.asarray(span.residual - outside @ values)
 
@@ -300,7 +299,8 @@ def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:
     Rivals are compared at their own best values: between two grid points a delay resembles a
     filter. Columns that depend on their coefficients are evaluated at the estimate.
     """
-    columns, grids = paths.columns, dict[int, list[Array]]()
+    columns, more = paths.columns, dict[int, list[Array]]()
+    points = dict[int, set[int]]()
     complete = paths.state(-1)
     for group in whole:
         complete = complete.with_group(group)
@@ -314,13 +314,15 @@ def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:
             if owner in seen:
                 continue
             seen.add(owner)
-            candidate, point = columns.owners[owner], int(columns.point[g])
-            if candidate.effect.shapes:
-                grids.setdefault(owner, []).append(candidate.refined([point], REFINEMENT).grid)
-            elif isinstance(candidate.effect, ArmEffect):
-                estimate = values[columns.of_group(g)]
-                grids.setdefault(owner, []).append(np.vstack([candidate.grid, estimate]))
-    return [
-        replace(c, grid=np.unique(np.concatenate(grids[k]), axis=0)) if k in grids else c
-        for k, c in enumerate(columns.owners)
-    ]
+            effect = columns.owners[owner].effect
+            if effect.shapes:
+                points.setdefault(owner, set()).add(int(columns.point[g]))
+            elif isinstance(effect, ArmEffect):
+                more.setdefault(owner, []).append(values[columns.of_group(g)])
+    refined = list(columns.owners)
+    for k, own in points.items():
+        refined[k] = refined[k].refined(sorted(own), REFINEMENT)
+    for k, estimates in more.items():
+        grid = np.unique(np.vstack([refined[k].grid, *estimates]), axis=0)
+        refined[k] = replace(refined[k], grid=grid)
+    return refined

@@ -167,8 +167,9 @@ def _measured(rows: Rows) -> bool:
 def _gains(columns: Array, targets: Array, basis: Array) -> Array:
     """Return the fall of the sum of squares of targets outside a basis by columns outside it."""
     along, products = basis.T @ columns, columns.T @ targets
-    gram = columns.T @ columns - along.T @ along
-    gram[np.diag_indices_from(gram)] += RIDGE * np.maximum(np.sum(columns**2, axis=0), 1e-300)
+    gram = columns.T @ columns
+    ridge = RIDGE * np.maximum(np.diag(gram), 1e-300)
+    gram += np.diag(ridge) - along.T @ along
     return np.asarray(np.einsum("kt,kt->t", products, np.linalg.solve(gram, products)))
 
 

@@ -94,7 +94,7 @@ def test_effects_that_are_there_are_selected_in_every_path_and_noise_is_not_supp
     loose = rules(columns, penalty=1.0)  # so loose that paths contain noise
     whole = forward(paths, -1, loose)
     parts_of = [forward(paths, k, loose) for k in range(10)]
-    slots = judge(paths, folds, whole, parts_of, {}, np.ones(len(span.residual), dtype=bool))
+    slots, _ = judge(paths, folds, whole, parts_of, {}, np.ones(len(span.residual), dtype=bool))
     found = {slot.group: slot for slot in slots}
     assert {2, 5} <= set(found)
     for group, slot in found.items():
@@ -118,7 +118,7 @@ def test_an_effect_is_judged_without_a_smooth_function_that_came_after_it_and_co
     folds = Folds(held, held, 0.0, np.array([100]))
     paths = Paths(span, columns, folds.out)
     for order, least in (([0, 1], 3.0), ([1, 0], -np.inf)):
-        slots = judge(paths, folds, order, [order] * 10, {}, np.ones(ROWS, dtype=bool))
+        slots, _ = judge(paths, folds, order, [order] * 10, {}, np.ones(ROWS, dtype=bool))
         (found,) = (slot for slot in slots if slot.group == 0)
         assert found.deviations > least
     assert found.deviations < 2.0  # the function was there before it
@@ -137,7 +137,7 @@ def test_an_effect_is_in_one_recording_only_if_every_path_says_so(with_all, expe
     folds = Folds(held, held, 0.0, np.array([100]))
     paths = Paths(span, columns, folds.out)
     parts_of = [[0]] * with_all + [[1]] * (10 - with_all)
-    (found,) = judge(paths, folds, [1], parts_of, {}, np.ones(ROWS, dtype=bool))
+    (found,), _ = judge(paths, folds, [1], parts_of, {}, np.ones(ROWS, dtype=bool))
     assert found.group == expected
 
 
@@ -179,7 +179,7 @@ def test_a_dead_band_counts_where_friction_neither_reverses_nor_rests():
     paths = Paths(span, columns, folds.out)
     friction = {kind: np.zeros((ROWS, 1)) for kind in ("late", "early", "rest")}
     found = [
-        judge(paths, folds, [0], [[0]] * 10, friction, steady)[0].deviations
+        judge(paths, folds, [0], [[0]] * 10, friction, steady)[0][0].deviations
         for steady in (np.ones(ROWS, dtype=bool), ~reversal)
     ]
     assert found[0] > 3.0

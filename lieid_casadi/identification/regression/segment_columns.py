@@ -238,7 +238,7 @@ def signals_along(segment: Processed, load: Array, error: Array | None) -> dict[
     ``error`` is that of position control, None without commands.
     """
     shape, temperature = segment.q.shape, segment.temperature
-    return {
+    signals = {
         "q": segment.q,
         "dq": segment.dq,
         "ddq": segment.ddq,
@@ -248,6 +248,7 @@ def signals_along(segment: Processed, load: Array, error: Array | None) -> dict[
         "time": np.tile((segment.t - segment.t[0])[:, None], shape[1]),
         "command_error": np.zeros(shape) if error is None else error,
     }
+    return {name: np.asfortranarray(values) for name, values in signals.items()}
 
 
 def filtered_columns(
