@@ -208,8 +208,6 @@ def test_torque_limit_below_gravity_is_infeasible():
 
 
 def robot_with(**changes):
-    from dataclasses import replace
-
     joints = list(lieid.robots.two_link().joints)
     joints[1] = replace(joints[1], limits=replace(joints[1].limits, **changes))
     return replace(lieid.robots.two_link(), joints=tuple(joints))

@@ -11,7 +11,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.diagnosis import Difference, Rival
 from lieid_casadi.diagnosis.step import Unexplained
-from lieid_casadi.errors import NoSolution, OutputError, PremiseError, RecordError
+from lieid_casadi.errors import NoSolution, OutputError, PremiseError
 from lieid_casadi.experiments import motion
 from lieid_casadi.experiments.motion import MotionDesign
 from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
@@ -105,28 +105,6 @@ def test_a_second_call_resumes(done, given):
     assert again.to_dict() == result.to_dict()
     with pytest.raises(OutputError, match="another probe"):
         lieid.experiment(ROBOT, given, record=record, folder=result.folder, seed=3, **QUICK)
-
-
-@pytest.mark.slow
-def test_what_is_not_recorded_is_kept_and_resumed(given, tmp_path):
-    record, motions = recorder(arm())
-    arguments = {"folder": tmp_path, **QUICK}
-    refused = lieid.experiment(ROBOT, given, record=record, confirm=lambda m: False, **arguments)
-    assert (refused.stopped, motions) == ("record_failed", [])
-
-    def fails(motion):
-        motions.append(motion)
-        raise RecordError("the emergency stop was pressed")
-
-    failed = lieid.experiment(ROBOT, given, record=fails, **arguments)
-    assert failed.stopped == "record_failed"
-    assert "emergency stop" in failed.reason
-    assert (tmp_path / "round-1" / "trajectory.csv").exists()
-    limited = lieid.experiment(ROBOT, given, record=record, most=0, **arguments)
-    assert limited.stopped == "most"
-    resumed = lieid.experiment(ROBOT, given, record=record, **arguments)
-    assert resumed.stopped == "all_named"
-    assert np.array_equal(motions[0].samples.q, motions[1].samples.q)
 
 
 def test_what_no_motion_separates_ends_with_the_reason(given, tmp_path, monkeypatch):

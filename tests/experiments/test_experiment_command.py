@@ -47,13 +47,14 @@ def test_a_motion_is_shown_then_fails_then_is_run_until_the_effect_is_named(
     assert "Not checked: " in shown.out
     assert "Run it on the robot?" in shown.out
     assert "not confirmed" in shown.err
-    assert not (tmp_path / "out" / "round-1" / "recording.csv").exists()
+    planned = tmp_path / "out" / "round-1" / "trajectory.csv"
+    trajectory = planned.read_bytes()
+    assert not planned.with_name("recording.csv").exists()
     fails = f"'{sys.executable}' -c 'raise SystemExit(5)' {{trajectory}} {{recording}}"
     assert main([*words, "--record", fails, "--yes"]) == 3
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "status 5" in error
-    assert (tmp_path / "out" / "round-1" / "trajectory.csv").exists()
     state = json.loads((tmp_path / "out" / "experiment.json").read_text())
     assert state["stopped"] == "record_failed"
     files = ["--json", str(tmp_path / "out.json"), "--html", str(tmp_path / "out.html")]
@@ -61,6 +62,7 @@ def test_a_motion_is_shown_then_fails_then_is_run_until_the_effect_is_named(
     shown = capsys.readouterr()
     assert "Every effect is named" in shown.out
     assert shown.err == ""
+    assert planned.read_bytes() == trajectory
     content = json.loads((tmp_path / "out.json").read_text())
     assert content["stopped"] == "all_named"
     assert [step["label"] for step in content["steps"]] == ["stribeck:1"]

@@ -71,15 +71,7 @@ HAND = """<mujoco>
 #: What an export may change, by tag.
 CHANGED = {
     "inertial": {"pos", "mass", "fullinertia", "diaginertia", "quat"},
-    "joint": {
-        "armature",
-        "damping",
-        "frictionloss",
-        "stiffness",
-        "springref",
-        "solreffriction",
-        "solimpfriction",
-    },
+    "joint": {"armature", "damping", "frictionloss", "stiffness", "springref", "solreffriction"},
     "position": {"kp", "kv", "dampratio", "forcerange", "delay", "nsample"},
 }
 EFFECTS = "armature,coulomb,viscous,command_delay:2,position_spring:1,offset:1"
@@ -187,11 +179,8 @@ def test_bodies_on_a_link_that_weigh_too_much_are_scaled(robot, tmp_path):
     expected = fit.compiled.inverse_dynamics(
         q[None, :2], 0 * q[None, :2], 0 * q[None, :2], fit.link_parameters
     )
-    data = mujoco.MjData(model)
-    data.qpos[:] = q
     model.jnt_stiffness[:] = 0.0
-    mujoco.mj_inverse(model, data)
-    np.testing.assert_allclose(data.qfrc_inverse[:2], expected[0], rtol=1e-9)
+    np.testing.assert_allclose(inverse(model, q, 0 * q, 0 * q)[:2], expected[0], rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -252,11 +241,7 @@ def written(folder, to):
 def torque_in_program(path, to, q, dq, ddq):
     """Torque of all four joints by MuJoCo or Pinocchio; damping is not part of Pinocchio's."""
     if to == "mjcf":
-        model = mujoco.MjModel.from_xml_path(str(path))
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:], data.qacc[:] = q, dq, ddq
-        mujoco.mj_inverse(model, data)
-        return data.qfrc_inverse.copy()
+        return inverse(mujoco.MjModel.from_xml_path(str(path)), q, dq, ddq)
     model = pin.buildModelFromUrdf(str(path))
     assert list(model.names)[1:] == list(JOINTS)
     return pin.rnea(model, model.createData(), q, dq, ddq) + model.damping * dq

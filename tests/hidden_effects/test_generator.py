@@ -118,6 +118,9 @@ def test_sizes_agree_with_the_truth(name):
     drawn = drawn_once(name)
     run = 1 if case.changed else 0
     noise, arm, motion = drawn.noise, drawn.arms[run], drawn.motions[run]
+    assert [bool(a.effects) for a in drawn.arms] == [
+        not case.changed or k > 0 for k in range(len(drawn.arms))
+    ]
     silent = Sensors(rate=drawn.sensors.rate)
     record = noiseless_record(arm, motion, drawn.sensors.rate)
     recorded = measure(arm, motion, silent)
@@ -230,13 +233,6 @@ def test_a_name_defines_a_case(tmp_path):
         write(Case.parse(name), tmp_path / str(k))
     for file in ("before.csv", "after.csv"):
         assert (tmp_path / "0" / file).read_bytes() == (tmp_path / "1" / file).read_bytes()
-
-
-@pytest.mark.slow
-def test_before_a_change_there_are_no_hidden_effects():
-    drawn = draw(Case.parse("changed-single-stribeck-2x-0"))
-    assert not drawn.arms[0].effects
-    assert drawn.arms[1].effects
 
 
 def test_the_schedule_contains_all_kinds_of_cases():

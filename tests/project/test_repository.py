@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import lieid_casadi
 import lieid_casadi as lieid
 from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.robot import Robot, yaml_file
@@ -22,8 +21,8 @@ ROOT = Path(__file__).parents[2]
 def test_version_is_in_one_place_and_is_semantic():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert "version" in project["dynamic"]
-    assert re.fullmatch(r"\d+\.\d+\.\d+", lieid_casadi.__version__)
-    assert f"\nversion: {lieid_casadi.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert re.fullmatch(r"\d+\.\d+\.\d+", lieid.__version__)
+    assert f"\nversion: {lieid.__version__}\n" in (ROOT / "CITATION.cff").read_text()
 
 
 def test_installed_codegen_folder_goes_first(monkeypatch, tmp_path):

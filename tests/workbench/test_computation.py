@@ -29,22 +29,11 @@ from lieid_casadi.workbench.session import (
 )
 
 
-def robot(inputs):
-    return lieid.Robot.load(inputs.robot)
-
-
-def read(inputs, source):
-    return [
-        lieid.Recording.load(r.path, units=dict(inputs.options).get("units", ("",))[0])
-        for r in inputs.recordings
-    ]
-
-
 def ignored(stage, fraction):
     """Take no notice of progress."""
 
 
-SETUP = WorkerSetup(prepare=functools.partial(int), robot=robot, read=read)
+SETUP = WorkerSetup(prepare=functools.partial(int), robot=load_robot, read=read_recordings)
 
 
 @pytest.fixture(scope="module")
@@ -222,13 +211,8 @@ def commanded(tmp_path):
 def shown(words):
     """Return the session of a command line, its computation, and the exact fit after a step."""
     args = build_parser().parse_args(["workbench", *words])
-    setup = WorkerSetup(
-        prepare=functools.partial(int),
-        robot=load_robot,
-        read=read_recordings,
-    )
     inputs = inputs_of(args)
-    computation = Computation(setup, inputs)
+    computation = Computation(SETUP, inputs)
     session = Session().opened(inputs, computation.opened().effects)
     computation.evaluate(session.step, quick=True, report=ignored)
     session = replace(session.with_added("load_friction:1"), recording=0).excluding(3.123, 4.5)

@@ -23,15 +23,9 @@ INPUTS = WorkbenchInputs(robot="two_link", recordings=(RecordingInput("a.csv", "
 def evaluation(*, exact, complete, series):
     errors = StepErrors((0.2,), (0.3,), (0.1,) if complete else (0.15,))
     return Evaluation(
-        exact=exact,
-        complete=complete,
-        errors=errors,
-        train=series,
-        test=None,
-        sentence="",
-        effects=(),
-        cutoff=10.0,
-    )
+        exact=exact, complete=complete, errors=errors, train=series,
+        test=None, sentence="", effects=(), cutoff=10.0,
+    )  # fmt: skip
 
 
 class Process:
