@@ -71,9 +71,12 @@ HAND = """<mujoco>
 #: What an export may change, by tag.
 CHANGED = {
     "inertial": {"pos", "mass", "fullinertia", "diaginertia", "quat"},
-    "joint": {"armature", "damping", "frictionloss", "stiffness", "springref", "solreffriction"},
+    "joint": {
+        "armature", "damping", "frictionloss", "stiffness", "springref",
+        "solreffriction", "solimpfriction",
+    },
     "position": {"kp", "kv", "dampratio", "forcerange", "delay", "nsample"},
-}
+}  # fmt: skip
 EFFECTS = "armature,coulomb,viscous,command_delay:2,position_spring:1,offset:1"
 
 
