@@ -174,7 +174,7 @@ class Page:
             while time.monotonic() < end:
                 if done():
                     return True
-                time.sleep(0.05)
+                time.sleep(0.2)
             return False
 
         self.wait(seen, what)
@@ -210,7 +210,7 @@ class Page:
                     return value
             except WebDriverException as error:
                 last = error.msg
-            time.sleep(0.05)
+            time.sleep(0.2)
         shown = "document.body ? document.body.innerText : ''"
         text = " | ".join(str(self.driver.execute_script(f"return {shown}")).split("\n"))
         every = (entry["message"][:200] for entry in self.driver.get_log("browser"))
