@@ -47,7 +47,7 @@ def fit(robot, train):
 @pytest.fixture(scope="module")
 def design(fit):
     return discriminate(
-        fit, RIVALS, evaluations=200, margin=1.0, limits=[Torque()],
+        fit, RIVALS, starts=40, evaluations=140, margin=1.0, limits=[Torque()],
         start_pose=[0.0, 0.0],
     )  # fmt: skip
 
@@ -131,7 +131,7 @@ def test_correlated_samples_count_less(fit):
 
 def test_one_motion_separates_several_groups(fit):
     groups = [RIVALS, ("position_spring:2", "torque_ripple:2")]
-    design = discriminate(fit, groups, evaluations=60)
+    design = discriminate(fit, groups, starts=20, evaluations=30)
     pairs = {frozenset((p.true, p.rival)) for p in design.pairs}
     assert pairs == {frozenset(group) for group in groups}
     worst = min(p.noncentrality / p.needed for p in design.pairs)
@@ -145,21 +145,21 @@ def test_interrupted_search_keeps_the_best_so_far(fit, monkeypatch):
 
     def interrupted(self, motion):
         calls.append(motion)
-        if len(calls) == 160:  # in the first refinement
+        if len(calls) == 70:  # in the first refinement
             raise KeyboardInterrupt
         return along(self, motion)
 
     monkeypatch.setattr(RivalEffects, "columns_along", interrupted)
-    design = discriminate(fit, RIVALS)
+    design = discriminate(fit, RIVALS, starts=20)
     assert design.interrupted
-    assert design.evaluations < 160
+    assert design.evaluations < 70
     assert design.seconds > 0.0
 
 
 def test_one_effect_is_separated_from_its_absence(robot, fit):
     """Its noncentrality is the square of the coefficient in standard deviations of a fit."""
     label, stiffness = "position_spring:2", 0.05
-    design = discriminate(fit, [label], sizes={label: [stiffness]}, evaluations=60)
+    design = discriminate(fit, [label], sizes={label: [stiffness]}, starts=20, evaluations=30)
     (pair,) = design.pairs
     assert (pair.rival, pair.remaining < 1.0) == ("its absence", True)
     assert f"separate it from {pair.rival}" in design.summary()
@@ -174,7 +174,7 @@ def test_one_effect_is_separated_from_its_absence(robot, fit):
 
 def test_effect_of_the_fit_keeps_its_size(robot, train):
     fit = lieid.identify(lieid.Model(robot, [*EFFECTS, "viscous_polynomial:1"]), train)
-    design = discriminate(fit, RIVALS, evaluations=60)
+    design = discriminate(fit, RIVALS, starts=20, evaluations=30)
     columns = [c.label for c in fit.model.columns]
     first = next(k for k, label in enumerate(columns) if "f_v2" in label)
     fitted = fit.effect_coefficients[first : first + 2]
@@ -185,7 +185,7 @@ def test_effect_of_the_fit_keeps_its_size(robot, train):
 def test_a_rival_that_contains_the_other_is_separable_one_way(fit):
     sizes = {"stribeck/exponent:1": (0.2, 0.1, 0.5)}
     rivals = ["stribeck:1", "stribeck/exponent:1"]
-    design = discriminate(fit, rivals, sizes=sizes, evaluations=60)
+    design = discriminate(fit, rivals, sizes=sizes, starts=20, evaluations=30)
     separable = {(p.true, p.rival): p.separable for p in design.pairs}
     assert separable == {tuple(rivals): False, tuple(rivals[::-1]): True}
     assert "stribeck:1 from stribeck/exponent:1" in design.summary()
