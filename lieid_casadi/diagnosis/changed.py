@@ -29,10 +29,10 @@ from lieid_casadi.diagnosis.step import Fall, Step, Unexplained
 from lieid_casadi.diagnosis.steps import (
     Accepted,
     absorbed_and_weak,
+    beside_smooth_functions,
     groups_of,
     share_of,
     signals_of,
-    status_of,
 )
 from lieid_casadi.errors import UnidentifiableWarning, unique_warnings
 from lieid_casadi.identification import Fit
@@ -284,14 +284,13 @@ def _steps(
         alone = Model.of_placements(found.rows.fit.model.robot, (own.placement,))
         units = {p.name.rpartition(".")[2]: p.unit for p in (*alone.columns, *alone.shapes)}
         before, after = float(without[j]), float(complete[j])
-        status, rivals = status_of(own, accepted)
         steps.append(
             Step(
                 label=own.placement.label,
                 effect=own.candidate.name,
                 joints=own.candidate.joints,
                 joint=j,
-                status=status,
+                status=own.status,
                 parameters={name: value for name, (value, _) in values.items()},
                 std={name: std for name, (_, std) in values.items()},
                 units={name: units.get(name, "") for name in values},
@@ -301,7 +300,7 @@ def _steps(
                 share=share_of(before, after, float(size[j])),
                 confirmed=None,
                 evidence=own.evidence,
-                rivals=rivals,
+                rivals=own.rivals,
                 group=numbers[k],
                 depends_on=signals_of(own.placement),
                 errors={
@@ -312,7 +311,7 @@ def _steps(
                 },
             )
         )
-    return tuple(steps)
+    return beside_smooth_functions(steps)
 
 
 def _numbers(found: Round, change: _Change, factor: float) -> dict[str, tuple[float, float]]:

@@ -152,7 +152,6 @@ def steps_of(
     groups = groups_of(accepted)
     steps = []
     for k, found in enumerate(accepted):
-        status, rivals = status_of(found, accepted)
         replaced = tuple(Rival(c.label, c.name, c.joints, "data") for c in found.replaced)
         later = columns[k + 1 :]
         so_far = final.errors(np.concatenate([np.zeros(0, dtype=np.intp), *later]))
@@ -169,7 +168,7 @@ def steps_of(
                 effect=found.candidate.name,
                 joints=found.candidate.joints,
                 joint=j,
-                status=status,
+                status=found.status,
                 parameters={name: value for name, (value, _, _) in numbers.items()},
                 std={name: std for name, (_, std, _) in numbers.items()},
                 units={name: unit for name, (_, _, unit) in numbers.items()},
@@ -179,10 +178,10 @@ def steps_of(
                 share=share_of(before, after, float(torque[j])),
                 confirmed=None if fall["test"] is None else fall["test"] > 0.0,
                 evidence=found.evidence,
-                rivals=rivals,
+                rivals=found.rivals,
                 group=groups[k],
                 depends_on=signals_of(found.placement),
-                formula=_formula(final, found.placement, rows) if status == "shape" else "",
+                formula=_formula(final, found.placement, rows) if found.status == "shape" else "",
                 rival_pairs=(replaced,) if len(replaced) > 1 else (),
                 errors={
                     "rms_train": fit.rms_train if last else so_far["train"],
@@ -194,7 +193,7 @@ def steps_of(
                 },
             )
         )
-    return tuple(steps)
+    return beside_smooth_functions(steps)
 
 
 def _formula(final: FinalModel, smooth: Placement, rows: Rows) -> str:
@@ -203,15 +202,24 @@ def _formula(final: FinalModel, smooth: Placement, rows: Rows) -> str:
     return formula_of(rows, smooth, own, final.fit.values[own])
 
 
-def status_of(found: Accepted, accepted: Sequence[Accepted]) -> tuple[Status, tuple[Rival, ...]]:
-    """Return the status of an effect beside all others, and its rivals.
+def beside_smooth_functions(steps: Sequence[Step]) -> tuple[Step, ...]:
+    """Return steps, in the order of the path, with the status of those beside smooth functions.
 
-    Beside a smooth function of its joint the form of its torque is not known.
+    Beside a smooth function of its joint that was found before it, or that lowers the error more
+    than it does, the form of an effect's torque is not known. A later, smaller one corrects it.
     """
-    smooth = [a.candidate for a in accepted if (a.candidate.name, a.joint) == (SMOOTH, found.joint)]
-    if found.status != "named" or not smooth:
-        return found.status, found.rivals
-    return "one_of", (Rival(smooth[-1].label, SMOOTH, smooth[-1].joints, "data"),)
+    found = list[Step]()
+    for k, step in enumerate(steps):
+        doubts = [
+            other for i, other in enumerate(steps)
+            if other.status == "shape" and other.joint == step.joint
+            and (i < k or other.before - other.after >= step.before - step.after)
+        ]  # fmt: skip
+        if step.status == "named" and doubts:
+            rivals = (Rival(doubts[-1].label, SMOOTH, doubts[-1].joints, "data"),)
+            step = replace(step, status="one_of", rivals=rivals)
+        found.append(step)
+    return tuple(found)
 
 
 def groups_of(accepted: Sequence[Accepted]) -> list[int]:

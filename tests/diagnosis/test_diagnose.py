@@ -18,7 +18,7 @@ from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
 from lieid_casadi.diagnosis.step import Evidence
-from lieid_casadi.diagnosis.steps import Accepted, other_forms
+from lieid_casadi.diagnosis.steps import Accepted, beside_smooth_functions, other_forms
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     EffectError,
@@ -155,6 +155,23 @@ def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
         processing=diagnosis.fit.processing,
     )
     np.testing.assert_array_equal(again.values, diagnosis.fit.values)
+
+
+def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
+    (step,) = lieid.diagnose(MODEL, two_runs(("stribeck", 0, 1.0))[0]).steps
+    effect = replace(step, status="named", rivals=(), before=3.0, after=1.0)
+    shape = replace(step, label="smooth/dq:1", status="shape", before=1.5, after=1.0)
+    larger = replace(shape, before=3.5)
+
+    def statuses(*steps):
+        return [each.status for each in beside_smooth_functions(steps)]
+
+    assert statuses(effect, shape) == ["named", "shape"]
+    assert statuses(effect, larger) == ["one_of", "shape"]
+    assert statuses(shape, effect) == ["shape", "one_of"]
+    assert statuses(effect, replace(larger, joint=1)) == ["named", "shape"]
+    (doubtful, _) = beside_smooth_functions([effect, larger])
+    assert [rival.label for rival in doubtful.rivals] == ["smooth/dq:1"]
 
 
 def test_cross_talk_of_torque_sensors_is_a_smooth_function_of_the_other_joints_load():
