@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import compile
-from lieid_casadi.discrimination import discriminate
+from lieid_casadi.discrimination import Discrimination, discriminate
 from lieid_casadi.discrimination.discriminate import separating_seconds
 from lieid_casadi.discrimination.motion_search import feasible_motions
 from lieid_casadi.discrimination.rival_effects import fitted_numbers
@@ -42,8 +42,7 @@ LEAST_SECONDS = 5.0  # of a motion beside the probe
 WORTH = 0.4  # of an excitation: ln of the factor by which it lowers standard deviations
 LEAST_INFORMATION = 1e-9  # relative to that of an excitation
 SWEEP_SPEEDS = (0.03, 0.15, 0.6)  # of the velocity limit
-CREEP_SPEEDS = (0.005, 0.02, 0.1)  # the same, near standstill
-SWEEP_RATE = 100.0  # Hz, at which slow runs are judged
+JUDGED_RATE = 100.0  # Hz, at which motions for evidence are compared
 SWEEP_SECONDS = (1.0, 0.7)  # at each speed and direction, that are tried
 
 
@@ -147,21 +146,21 @@ class MotionDesign:
             assert fit is not None
             main, promise = self._separating(purpose.groups, fit, recordings, most, progress)
         elif purpose.kind == "range" and (
-            sweep := self._sweep(joints_of(purpose.signals), SWEEP_SPEEDS, recordings)
+            sweep := self._sweep(joints_of(purpose.signals), recordings)
         ):
             main, promise, fit = sweep
+        elif purpose.kind == "evidence":
+            assert found is not None
+            main, promise, fit = self._deciding(purpose, found, recordings, number, progress)
+        elif purpose.kind == "excitation" and found is not None:
+            main, promise, worth = self._informative(found, recordings, number, progress)
+            fit = self.fit
+            if worth < WORTH:
+                return None
         else:
             drawn = 0 if purpose.kind == "temperature" else number  # the same motion each time
-            main, promise, worth = self._informative(
-                found, recordings, purpose.seconds, drawn, progress
-            )
-            if purpose.kind == "excitation" and worth < WORTH:
-                return None
-            slow = None
-            if purpose.kind == "evidence":
-                assert found is not None
-                slow = self._slow_runs(purpose.groups, found, recordings, beside=main)
-            main, promise, fit = slow or (main, promise, self.fit)
+            main, promise = self._exciting(self.fit, drawn, progress)
+            fit = self.fit
         whole, arm = joined(self.probe, main), None if fit is None else FittedArm.of(fit)
         robot = self.model.robot
         verified = verify(robot, whole, self.range, on_arm(self.limits, robot, arm), arm)
@@ -171,29 +170,18 @@ class MotionDesign:
         )  # fmt: skip
 
     def _informative(
-        self,
-        found: Fit | None,
-        recordings: Sequence[Recording],
-        needed: float,
-        number: int,
-        progress: Progress,
+        self, found: Fit, recordings: Sequence[Recording], number: int, progress: Progress
     ) -> tuple[MotionSamples, str, float]:
         """Return the excitation that is expected to show most per second, and its `precision_gain`.
 
         The gain is that over the recordings, second by second. A long motion and short ones are
-        compared, those of at least ``needed`` seconds if there are any; without a recording it is
-        the long one. Recordings of little motion cannot bound the torque of larger motion:
-        ``found`` is not used for the limits.
+        compared. Recordings of little motion cannot bound the torque of larger motion: ``found`` is
+        not used for the limits.
         """
-        if found is None:
-            return *self._exciting(self.fit, number, progress), np.inf
         before = information(found, [s for r in recordings for s in process(r, found.processing)])
         known, probe = sum(r.duration for r in recordings) * before, float(self.probe.t[-1])
         best, most = None, -np.inf
-        designs = self._of_each_length(
-            partial(self._exciting, self.fit, number, progress), least=needed
-        )
-        for main, text in designs:
+        for main, text in self._of_each_length(partial(self._exciting, self.fit, number, progress)):
             rate, seconds = information(found, [main]), float(main.t[-1])
             per_second = precision_gain(known, known + seconds * rate) / (probe + seconds)
             if per_second > most:
@@ -201,11 +189,13 @@ class MotionDesign:
         assert best is not None
         return best
 
-    def _of_each_length(self, design: Callable[..., T], *, least: float = 0.0) -> list[T]:
+    def _of_each_length(self, design: Callable[..., T]) -> list[T]:
         """Return the designs of a long motion and short ones, as far as there are any."""
         found, reasons = list[T](), list[str]()
-        for seconds in (self.seconds / parts for parts in PARTS):
-            if seconds >= min(max(LEAST_SECONDS, least), self.seconds):
+        for parts in PARTS:
+            samples = np.floor(self.seconds / parts * self.rate + 1e-6)
+            seconds = float(samples) / self.rate
+            if seconds >= min(LEAST_SECONDS, self.seconds):
                 try:
                     found.append(design(duration=seconds))
                 except NoSolution as failure:
@@ -226,7 +216,7 @@ class MotionDesign:
         return design.motion(), f"Condition number {design.condition_number:.3g}."
 
     def _sweep(
-        self, joints: set[int], speeds: Sequence[float], recordings: Sequence[Recording]
+        self, joints: set[int], recordings: Sequence[Recording]
     ) -> tuple[MotionSamples, str, Fit] | None:
         """Return runs of a single joint, from rest, at parts of its speed limit.
 
@@ -236,12 +226,10 @@ class MotionDesign:
             return None
         (joint,) = joints
         fit = identify(self.model, recordings)
-        limit = self.range.velocity[joint]
+        speeds = np.array(SWEEP_SPEEDS) * self.range.velocity[joint]
         for seconds in SWEEP_SECONDS:
             try:
-                sweep = friction_sweep(
-                    fit, joint, speeds=np.array(speeds) * limit, seconds=seconds, **self._shared
-                )
+                sweep = friction_sweep(fit, joint, speeds=speeds, seconds=seconds, **self._shared)
             except NoSolution:
                 continue  # shorter runs need less space
             if sweep.motion.t[-1] <= self.seconds:
@@ -273,11 +261,7 @@ class MotionDesign:
         for chosen in tried:
             known = {label: sizes[label] for group in chosen for label in group if label in sizes}
             try:
-                separating = partial(
-                    discriminate, fit, chosen, sizes=known, seed=self.seed, starts=STARTS,
-                    evaluations=EVALUATIONS, progress=progress, **self._shared,
-                )  # fmt: skip
-                designs = self._of_each_length(separating)
+                designs = self._separations(chosen, known, fit, progress)
             except (NoSolution, EffectError) as failure:
                 reasons.append(str(failure))
                 continue
@@ -293,38 +277,84 @@ class MotionDesign:
             )
         raise NoSolution(" ".join(dict.fromkeys(reasons)))
 
-    def _slow_runs(
+    def _separations(
         self,
         groups: Sequence[Group],
+        sizes: Mapping[str, Sequence[float]],
+        fit: Fit,
+        progress: Progress,
+    ) -> list[Discrimination]:
+        """Return motions of each length that separate the effects of all groups."""
+        separating = partial(
+            discriminate, fit, groups, sizes=sizes, seed=self.seed, starts=STARTS,
+            evaluations=EVALUATIONS, progress=progress, **self._shared,
+        )  # fmt: skip
+        return self._of_each_length(separating)
+
+    def _deciding(
+        self,
+        purpose: Purpose,
         found: Fit,
         recordings: Sequence[Recording],
-        *,
-        beside: MotionSamples,
-    ) -> tuple[MotionSamples, str, Fit] | None:
-        """Return slow runs of the joint on which effects are open, if they show more than a motion.
+        number: int,
+        progress: Progress,
+    ) -> tuple[MotionSamples, str, Fit | None]:
+        """Return the shortest motion that should show enough of effects, or what shows most.
 
-        They may for effects that act near standstill: excitations pass these speeds in a few
-        samples.
+        Motions that separate all effects from their absence, else one of them, are repeated until
+        they should suffice; without any it is an excitation.
         """
-        joints = joints_of([label for group in groups for label in group])
-        sweep = self._sweep(joints, CREEP_SPEEDS, recordings)
-        if sweep is None:
-            return None
+        growth = dict(zip(purpose.groups, purpose.growth, strict=True))
         fitted = {placement.label for placement in found.model.placements}
-        new = [label for group in groups for label in group if label not in fitted]
-        sizes = rival_sizes(found, ("", *new), recordings)
-
-        def needed(motion: MotionSamples) -> float:
-            every = max(round(self.rate / SWEEP_RATE), 1)
-            kinds = [getattr(motion, name)[::every] for name in ("t", "q", "dq", "ddq")]
+        for chosen in dict.fromkeys([purpose.groups, *((group,) for group in growth)]):
+            labels = [label for (label,) in chosen]
+            new = [label for label in labels if label not in fitted]
+            sizes = rival_sizes(found, ("", *new), recordings)
             try:
-                return separating_seconds(
-                    found, groups, MotionSamples(*kinds), sizes=sizes, velocity=self.range.velocity
-                )
-            except (EffectError, NoSolution):
-                return np.inf
+                designs = self._separations(chosen, sizes, found, progress)
+            except (NoSolution, EffectError):
+                continue
+            shown = partial(self._shown, found, labels, sizes)
+            known = sum(shown(part) for r in recordings for part in process(r, found.processing))
+            needed = np.maximum(known * np.array([growth[group] for group in chosen]), 1e-9)
+            parts = [float(np.min(shown(design.motion()) / needed)) for design in designs]
+            lengths = [design.trajectory.duration for design in designs]
+            counts = [
+                int(np.clip(np.ceil(1.0 / max(part, 1e-9)), 1, round(self.seconds / length)))
+                for part, length in zip(parts, lengths, strict=True)
+            ]
+            k = max(
+                range(len(designs)),
+                key=lambda k: (min(counts[k] * parts[k], 1.0), -counts[k] * lengths[k]),
+            )
+            share, names = counts[k] * parts[k], ", ".join(labels)
+            suffices = "suffice" if share >= 1.0 else f"show {share:.0%} of what is needed"
+            promise = f"This motion should {suffices} to be certain of {names}."
+            return designs[k].motion(periods=counts[k]), promise, found
+        return *self._exciting(self.fit, number, progress), self.fit
 
-        return sweep if needed(sweep[0]) < needed(beside) else None
+    def _shown(
+        self,
+        found: Fit,
+        labels: Sequence[str],
+        sizes: Mapping[str, Sequence[float]],
+        motion: MotionSamples | Processed,
+    ) -> Array:
+        """Return what a motion shows of effects, relative to what separates each from absence."""
+        every = max(round(len(motion.t) / (motion.t[-1] - motion.t[0]) / JUDGED_RATE), 1)
+        kinds = [getattr(motion, name)[::every] for name in ("t", "q", "dq", "ddq")]
+        part = MotionSamples(kinds[0] - kinds[0][0], *kinds[1:])
+        shown = []
+        for label in labels:
+            try:
+                seconds = separating_seconds(
+                    found, [(label,)], part, velocity=self.range.velocity,
+                    sizes={label: sizes[label]} if label in sizes else {},
+                )  # fmt: skip
+            except NoSolution:
+                seconds = np.inf
+            shown.append(float(part.t[-1]) / seconds)
+        return np.array(shown)
 
 
 def joints_of(names: Sequence[str]) -> set[int]:

@@ -41,7 +41,8 @@ class Purpose:
     groups: tuple[Group, ...] = ()
     signals: tuple[str, ...] = ()  # with ``range``: such as ``dq2``
     why: str = ""  # one sentence
-    seconds: float = 0.0  # of an excitation, which should decide
+    #: with ``evidence``, by group: what a motion should show of it, relative to the recordings
+    growth: tuple[float, ...] = ()
 
 
 def purposes(
@@ -71,7 +72,7 @@ def purposes(
     if groups := new("temperature", [(label,) for label in warming(diagnosis)]):
         text = ", ".join(label for (label,) in groups)
         why = f"Perhaps due to temperature: {text}. Joints warm up along one long motion."
-        found.append(Purpose("temperature", groups, why=why, seconds=left))
+        found.append(Purpose("temperature", groups, why=why))
     if groups := new("rivals", separable_groups(diagnosis)):
         text = "; ".join(" or ".join(group) for group in groups)
         found.append(Purpose("rivals", groups, why=f"The recordings do not separate {text}."))
@@ -80,29 +81,28 @@ def purposes(
         signals = tuple(dict.fromkeys(x for (joint,) in groups for x in signals_of[joint]))
         text = ", ".join(joint for (joint,) in groups)
         why = f"No effect of the library describes the error of {text} over {', '.join(signals)}."
-        found.append(Purpose("range", groups, signals, why, seconds=left))
+        found.append(Purpose("range", groups, signals, why))
     options = DiagnosisOptions()
     doubtful = {s.label: s.evidence.deviations for s in diagnosis.steps if _may_be_decided(s)}
     doubtful |= {
         label: deviations
         for label, deviations in diagnosis.undecided
-        if seconds_until(options.gain_deviations, deviations, recorded) <= left
+        if recorded * growth(options.gain_deviations, deviations) <= left
     }
     if groups := new("evidence", [(label,) for label in doubtful]):
         text = ", ".join(label for (label,) in groups)
         why = f"The recordings do not suffice to be certain of {text}."
-        least = min(doubtful[label] for (label,) in groups)
-        seconds = min(seconds_until(options.name_deviations, least, recorded), left)
-        found.append(Purpose("evidence", groups, why=why, seconds=seconds))
+        wanted = tuple(growth(options.name_deviations, doubtful[label]) for (label,) in groups)
+        found.append(Purpose("evidence", groups, why=why, growth=wanted))
     return found
 
 
-def seconds_until(wanted: float, deviations: float, recorded: float) -> float:
-    """Return the further time, s, after which a gain should have the wanted standard errors.
+def growth(wanted: float, deviations: float) -> float:
+    """Return how much more data, relative to the present ones, a gain needs for a name.
 
-    A mean gain in its standard errors grows with the root of the time.
+    ``wanted`` and ``deviations`` are in standard errors, which fall with the root of the time.
     """
-    return recorded * max((wanted / deviations) ** 2 - 1.0, 0.0)
+    return max((wanted / deviations) ** 2 - 1.0, 0.0)
 
 
 def _may_be_decided(step: Step) -> bool:

@@ -14,7 +14,7 @@ from lieid_casadi.diagnosis.step import Unexplained
 from lieid_casadi.errors import NoSolution, OutputError, PremiseError
 from lieid_casadi.experiments import motion
 from lieid_casadi.experiments.motion import MotionDesign
-from lieid_casadi.experiments.purpose import Purpose, open_groups, purposes, remaining
+from lieid_casadi.experiments.purpose import Purpose, growth, open_groups, purposes, remaining
 from lieid_casadi.report import experiment_report
 
 
@@ -203,11 +203,9 @@ def test_an_effect_that_the_held_out_parts_do_not_decide_is_open(ambiguous):
     """The gain of 10 s is 1.6 of its standard errors: 15.6 s should show two, 35.2 s three."""
     near = replace(ambiguous, steps=(), undecided=(("torque_lowpass:1", 1.6),))
     excitation = Purpose("excitation")
-    (need,) = purposes(near, [excitation], recorded=10.0, left=40.0)
+    (need,) = purposes(near, [excitation], recorded=10.0, left=6.0)  # enough to add it
     assert (need.kind, need.groups) == ("evidence", (("torque_lowpass:1",),))
-    assert need.seconds == pytest.approx(25.15625)  # enough to name it
-    (short,) = purposes(near, [excitation], recorded=10.0, left=6.0)
-    assert short.seconds == 6.0  # enough to add it
+    assert need.growth == pytest.approx((2.515625,))  # enough to name it
     assert purposes(near, [excitation], recorded=10.0, left=5.0) == []  # not in the time left
     assert purposes(near, [excitation, need], recorded=10.0, left=6.0) == []
 
@@ -220,7 +218,7 @@ def test_what_depends_on_temperature_gets_one_long_motion_twice(ambiguous):
     found = replace(ambiguous, steps=(warm,), unexplained=(error,))
     needs = purposes(found, [Purpose("excitation")], recorded=10.0, left=40.0)
     need = needs[0]
-    assert (need.kind, need.seconds) == ("temperature", 40.0)
+    assert need.kind == "temperature"
     assert need.groups == (("warm_up:1",), ("joint 2",))
     assert purposes(found, [Purpose("excitation"), need], left=20.0)[0].kind == "temperature"
     assert purposes(found, [Purpose("excitation"), need, need])[0].kind == "rivals"
@@ -245,7 +243,7 @@ def test_one_length_without_a_motion_leaves_the_others(
         return lieid.excite(*arguments, duration=duration, max_iterations=20, **options)
 
     monkeypatch.setattr(motion, "excite", short_ones)
-    purpose = Purpose("evidence", (("stribeck:1",),))
+    purpose = Purpose("evidence", (("stribeck:1",),), growth=(0.5,))
     made = planned(design, purpose, ambiguous.fit, [given], tmp_path)
     lengths = np.array([17.0 / 2, 17.0 / 3])
     assert np.isclose(made.duration - made.probe, lengths, atol=0.01).any()
@@ -273,7 +271,7 @@ def test_a_motion_for_a_shape_covers_speeds(design, ambiguous, tmp_path):
         assert steady.sum() > 80  # at 200 Hz
 
 
-def test_slow_runs_from_rest_show_friction_near_standstill(design, tmp_path):
+def test_a_motion_for_one_effect_shows_friction_near_standstill(design, tmp_path):
     """Stribeck friction of 0.012 rad/s: excitations pass it in a few samples of 5 ms."""
     plain = plant.demo_arm(ROBOT, seed=3, hidden=None)
     extra = float(plain.friction.coulomb[0])
@@ -283,11 +281,12 @@ def test_slow_runs_from_rest_show_friction_near_standstill(design, tmp_path):
         s, sensors = motion.samples, plant.demo_sensors(ROBOT, rate=200.0)
         return plant.measure_along(robot, s.t, s.q, s.dq, s.ddq, sensors=sensors, seed=seed)
 
-    excitation = Purpose("excitation", seconds=10.0)
+    excitation = Purpose("excitation")
     first = recorded(planned(design, excitation, None, [], tmp_path), 1)
     before = lieid.diagnose(design.model, first)
     assert before.steps == ()
-    purpose = Purpose("evidence", (("stribeck:1",),))
+    (need,) = (d for label, d in before.undecided if label == "stribeck:1")
+    purpose = Purpose("evidence", (("stribeck:1",),), growth=(growth(3.0, need),))
     motion = planned(design, purpose, before.fit, [first], tmp_path)
     after = lieid.diagnose(design.model, [first, recorded(motion, 2)])
     assert [(step.label, step.status) for step in after.steps] == [("stribeck:1", "named")]
