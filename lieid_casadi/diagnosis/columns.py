@@ -305,7 +305,10 @@ def evaluate(
 
 
 def _key(candidate: Candidate, row: Array) -> str:
-    return f"{candidate.placement.label} {row.tobytes().hex()}"
+    """Return what the columns at a grid point depend on."""
+    effect = candidate.effect
+    same = isinstance(effect, ArmEffect) and effect.linear
+    return f"{candidate.placement.label} {'' if same else row.tobytes().hex()}"
 
 
 def _evaluate_missing(

@@ -54,6 +54,8 @@ class AddedPayload(Payload):
     That is the inertia of a point mass, and the change of the model's load friction.
     """
 
+    linear = False
+
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns (K, n, 4): columns · values is the whole change of the torque.
 

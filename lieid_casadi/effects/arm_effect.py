@@ -145,6 +145,8 @@ class ArmEffect(Effect):
     trial_values : tuple
         Coefficients other than zero at which a diagnosis tries the columns, because the column
         at a likely value differs from the derivative at zero.
+    linear : bool
+        Whether the columns are the same at all coefficients.
     needs_past : bool
         Whether the torque at an instant depends on the motion before it, so that no function of
         one instant reproduces the effect.
@@ -156,6 +158,7 @@ class ArmEffect(Effect):
     reach: Literal["arm", "joint"] = "arm"
     on_measurement: ClassVar[bool] = True
     trial_values: ClassVar[tuple[tuple[float, ...], ...]] = ()
+    linear: ClassVar[bool] = False
     needs_past: ClassVar[bool] = False
     export_note: ClassVar[str] = ""
     signals: tuple[str, ...] = ()

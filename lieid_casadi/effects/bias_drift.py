@@ -29,6 +29,7 @@ class BiasDrift(ArmEffect):
     reach = "joint"
     per_recording = True
     on_torque_signal = True
+    linear = True
     revealed_by = "the same motion repeated over several minutes"
     confused_with: ClassVar = {
         "warm_up": "only warm-up changes sign with the velocity; drive both directions",

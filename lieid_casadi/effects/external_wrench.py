@@ -27,6 +27,7 @@ class ExternalWrench(ArmEffect):
     )
     whole_arm = True
     on_measurement = False
+    linear = True
     revealed_by = "motion through the workspace while the wrench is constant"
     confused_with: ClassVar = {
         "payload": "a vertical force resembles a weight at the tool's origin; accelerate the tool",

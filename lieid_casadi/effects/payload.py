@@ -32,6 +32,7 @@ class Payload(ArmEffect):
     )
     whole_arm = True
     on_measurement = False
+    linear = True
     revealed_by = "gravity torque in at least three orientations of the tool"
     confused_with: ClassVar = {
         "external_wrench": "similar over few orientations; a force keeps its direction",

@@ -30,6 +30,7 @@ class TorqueGain(ArmEffect):
     size_unit = "%"
     coefficients = (Coefficient("g", "1", limit=1.0, meaning="relative error of the gain"),)
     reach = "joint"
+    linear = True
     revealed_by = "large gravity torque on several joints, or a payload of known mass"
     confused_with: ClassVar = {
         "load_friction": "only friction changes sign with the velocity; drive both directions",
