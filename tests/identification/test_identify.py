@@ -7,9 +7,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from plant.recordings import recorded
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.effects import Coefficient, Effect, Shape
 from lieid_casadi.errors import (
     AliasWarning,
@@ -197,3 +199,14 @@ def test_an_effect_that_is_not_finite_is_refused(shapes):
     model = lieid.Model(bare, [Root()])
     with pytest.raises(IdentificationError, match="joint 1: a column of the regression is not"):
         lieid.identify(model, measured(duration=5.0)[1], processing=CUTOFF)
+
+
+def test_linear_algebra_is_on_one_thread_and_the_setting_is_restored():
+    def threads():
+        return [x["num_threads"] for x in threadpool_info() if x["user_api"] == "blas"]
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        assert 2 in before
+        assert set(blas_on_one_thread(threads)()) == {1}
+        assert threads() == before
