@@ -139,16 +139,9 @@ def test_real_arms_geometry_with_its_rounding(urdf, tmp_path):
 def test_names_and_limits_of_the_joints(tmp_path):
     """Also of a name that is no literal of C, and where the robot states no limit."""
     robot, name = lieid.robots.two_link(), 'a"\\é??/\n'
-    joints = [
-        dataclasses.replace(
-            robot.joints[0],
-            name=name,
-            limits=dataclasses.replace(
-                robot.joints[0].limits, torque=np.nan, position_lower=np.nan, position_upper=np.nan
-            ),
-        ),
-        robot.joints[1],
-    ]
+    unknown = dict.fromkeys(("torque", "position_lower", "position_upper"), np.nan)
+    limits = dataclasses.replace(robot.joints[0].limits, **unknown)
+    joints = [dataclasses.replace(robot.joints[0], name=name, limits=limits), robot.joints[1]]
     fit = made_fit(dataclasses.replace(robot, joints=tuple(joints)), "viscous")
     export(fit, tmp_path / "arm", to="c")
     loaded = library(tmp_path / "arm")

@@ -53,17 +53,8 @@ def recording(n, seed=3):
 def moments(fit, run):
     """Inputs of a function at each sample of a recording, by name."""
     for k in range(SAMPLES if not fit.model.states else 1):  # states are initial ones at first
-        yield (
-            k,
-            {
-                "q": run.q[k],
-                "dq": run.dq[k],
-                "ddq": run.ddq[k],
-                "states": fit.model.initial_states,
-                "temperature": run.temperature[k],
-                "time": run.t[k] - run.t[0],
-            },
-        )
+        inputs = {name: getattr(run, name)[k] for name in ("q", "dq", "ddq", "temperature")}
+        yield k, inputs | {"states": fit.model.initial_states, "time": run.t[k] - run.t[0]}
 
 
 def call(function, inputs):
@@ -137,13 +128,8 @@ def test_forward_dynamics_solve_the_inverse_ones(combined):
     random = np.random.default_rng(5)
     for _ in range(50):
         q, dq, ddq = random.uniform(-1.5, 1.5, (3, combined.model.n))
-        inputs = {
-            "q": q,
-            "dq": dq,
-            "ddq": ddq,
-            "temperature": random.uniform(20.0, 50.0, combined.model.n),
-            "time": 3.0,
-        }
+        temperature = random.uniform(20.0, 50.0, combined.model.n)
+        inputs = {"q": q, "dq": dq, "ddq": ddq, "temperature": temperature, "time": 3.0}
         tau = call(arm.inverse_dynamics, inputs)
         found = call(arm.forward_dynamics, inputs | {"tau": tau})
         residual = call(arm.inverse_dynamics, inputs | {"ddq": found}) - tau

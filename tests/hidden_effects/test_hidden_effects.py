@@ -22,10 +22,6 @@ STRONG = (
 CHANGED, UNCHANGED = "changed-single-payload-2x-0", "changed-none-28"
 
 
-def required(count, rate):
-    return int(binom.ppf(0.025, count, rate))
-
-
 @cache
 def scored(name, by_command=False):
     with warnings.catch_warnings():
@@ -33,10 +29,10 @@ def scored(name, by_command=False):
         return run_case(Case.parse(name), true_model=False, by_command=by_command)
 
 
-def assert_enough(names, rate, key="right"):
+def assert_enough(names, rate):
     rows = [scored(name) for name in names]
-    wrong = {r["case"]: (r["verdict"], r["steps"], r.get("error")) for r in rows if not r[key]}
-    assert sum(r[key] for r in rows) >= required(len(rows), rate), wrong
+    wrong = {r["case"]: (r["verdict"], r["steps"], r.get("error")) for r in rows if not r["right"]}
+    assert sum(r["right"] for r in rows) >= binom.ppf(0.025, len(rows), rate), wrong
 
 
 def test_the_small_part_is_the_first_of_the_order():

@@ -177,16 +177,15 @@ def rows_of(model, rng, samples=400, noise=0.3):
 
 
 def friction_rows(model, *, velocity, load):
-    n = model.n
-    return dissipation_rows(
-        lieid.compile(model),
-        model.initial_shapes,
-        velocity=np.full(n, velocity),
-        load=np.full(n, load),
-        temperature=np.zeros(n),
-        lower=np.full(n, -np.pi),
-        upper=np.full(n, np.pi),
-    )
+    given = {
+        "velocity": velocity,
+        "load": load,
+        "temperature": 0.0,
+        "lower": -np.pi,
+        "upper": np.pi,
+    }
+    signals = {name: np.full(model.n, value) for name, value in given.items()}
+    return dissipation_rows(lieid.compile(model), model.initial_shapes, **signals)
 
 
 def problem_of(model, factor, rng):
