@@ -252,10 +252,8 @@ class Design:
         self._rows: Rows | None = None
         self._functions: dict[str, EffectFunction] = {}
         self._loaded: tuple[bytes, list[dict[str, Array]]] | None = None  # by the load's parameters
-        #: rows of effects, and their derivatives by shapes, as evaluated last, by label, with the
-        #: shapes and load there
+        #: rows of effects as evaluated last, by label, with the shapes and load there
         self._last: dict[str, tuple[tuple[bytes, bytes | None], list[Array]]] = {}
-        self._slopes: dict[str, tuple[tuple[bytes, bytes | None], list[Array]]] = {}
 
     def rows(self, shapes: Array, link_parameters: Array | None) -> Rows:
         """Return the equations at shapes (s,) and the load by link parameters (None: no load).
@@ -314,18 +312,14 @@ class Design:
         self, alike: Sequence[VaryingEffect], shapes: Array, steps: Array, links: Array | None
     ) -> list[Array]:
         """Return the derivatives (R, s, c) of columns by their shapes, by steps forward (s,)."""
-        label, own = alike[0].placement.effect.label, np.array([e.shapes for e in alike])
-        key = self._key(alike, shapes, links)
-        if label in self._slopes and self._slopes[label][0] == key:
-            return self._slopes[label][1]
+        own = np.array([e.shapes for e in alike])
         moves = np.vstack([np.zeros(own.shape[1]), np.eye(own.shape[1])])
         grid = shapes[own][:, None] + steps[own][:, None] * moves
         columns = self.joint_columns(alike, grid, links)
-        self._last[label] = key, [each[:, 0] for each in columns]
+        here = self._key(alike, shapes, links), [each[:, 0] for each in columns]
+        self._last[alike[0].placement.effect.label] = here
         pairs = zip(alike, columns, strict=True)
-        found = [(x[:, 1:] - x[:, :1]) / steps[e.shapes, None] for e, x in pairs]
-        self._slopes[label] = key, found
-        return found
+        return [(x[:, 1:] - x[:, :1]) / steps[e.shapes, None] for e, x in pairs]
 
     def _key(
         self, alike: Sequence[VaryingEffect], shapes: Array, links: Array | None
