@@ -138,7 +138,7 @@ def _rivals(steps: Sequence[Step]) -> str:
 
 
 def _selected(steps: Sequence[Step]) -> str:
-    step = min(steps, key=lambda s: (s.evidence.selected, s.evidence.deviations))
+    step = min(steps, key=lambda s: (s.evidence.selected, s.evidence.certainty))
     where = f" on {location(step.joints)}" if len(steps) > 1 else ""
     selected, together = step.evidence.selected, step.evidence.selected_with_rivals
     if selected == 1.0:
@@ -146,10 +146,13 @@ def _selected(steps: Sequence[Step]) -> str:
             effect = make(step.effect) if step.effect in REGISTER else None
             if effect is not None and is_delay(effect):
                 return "; a joint that sticks for a moment at each reversal may look the same"
-            sure = step.evidence.deviations >= DiagnosisOptions().name_deviations
+            sure = step.evidence.certainty >= DiagnosisOptions().name_deviations
             if effect is not None and follows_temperature(effect) and sure:
                 return "; friction that changes at one instant may look the same"
-            return f"; its gain{where} is only {step.evidence.deviations:.1f} standard errors"
+            certainty = f"{step.evidence.certainty:.1f}"
+            if step.evidence.certainty < step.evidence.deviations:
+                return f"; it is only {certainty} standard deviations from zero{where}"
+            return f"; its gain{where} is only {certainty} standard errors"
         return ""
     text = f"; without single parts of the data it was selected{where} in {100 * selected:.0f} %"
     return text + (f", it or a rival in {100 * together:.0f} %" if together > selected else "")

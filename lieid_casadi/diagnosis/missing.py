@@ -107,7 +107,9 @@ class MissingEffects:
         last_rows = Rows.of(
             fit, self.segments, known=self.known, before=rows, with_candidates=False
         )
-        steps = steps_of(final, accepted, last_rows, torque, after)
+        steps = steps_of(
+            final, accepted, last_rows, torque, after, name_deviations=options.name_deviations
+        )
         steps = tuple(replace(step, motion=self.gains.get(step.label)) for step in steps)
         parts = unexplained_parts(
             fitted,
@@ -285,7 +287,7 @@ class MissingEffects:
                 if doubtful or other.rms_cv[j] > most:
                     continue
                 other = self._complete(others)
-                if not found.determined(other, self.options.gain_deviations):
+                if found.coefficient_deviations(other) < self.options.gain_deviations:
                     continue
                 errors = float(fit.rms_cv[j]), float(other.rms_cv[j])
                 if self.ask is None or self.ask(Proposal(found.placement.label, j, *errors)):
@@ -301,7 +303,7 @@ class MissingEffects:
         the error at all.
         """
         for found in reversed(accepted):
-            if not found.determined(fit, self.options.gain_deviations):
+            if found.coefficient_deviations(fit) < self.options.gain_deviations:
                 self.rejected[found.placement.label] = "the data do not determine its coefficients"
                 return [a for a in accepted if a is not found]
         model, left = FinalModel.of(fit, self.segments, None), list(accepted)

@@ -65,6 +65,9 @@ class Evidence:
     independent : int
         Stretches of the recordings as long as the correlation of the residual: with few of them
         the standard error is uncertain.
+    coefficient_deviations : float
+        How far its coefficients together are from zero, in standard deviations of the final fit
+        (Wald's test); NaN where that has none, and of changes.
     """
 
     gains: tuple[float, ...]
@@ -72,12 +75,19 @@ class Evidence:
     selected: float
     selected_with_rivals: float
     independent: int
+    coefficient_deviations: float = float("nan")
+
+    @property
+    def certainty(self) -> float:
+        """The smaller one of both deviations, which decides on a name."""
+        return float(np.fmin(self.deviations, self.coefficient_deviations))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evidence for JSON."""
         return {
             "gains": list(self.gains),
             "deviations": number_or_none(self.deviations),
+            "coefficient_deviations": number_or_none(self.coefficient_deviations),
             "selected_with_rivals": self.selected_with_rivals,
             "independent_stretches": self.independent,
         }

@@ -105,17 +105,19 @@ class Accepted:
         """Where it acts."""
         return self.candidate.placement
 
-    def determined(self, fit: Fit, deviations: float) -> bool:
-        """Whether its coefficients together differ from zero by a number of standard deviations."""
+    def coefficient_deviations(self, fit: Fit) -> float:
+        """Return how far its coefficients together are from zero, in standard deviations."""
         effect, joint = self.placement.effect, self.placement.joint
         names = {f"{effect.label}.{c.name}" for c in effect.coefficients}
         fitted = fit.model.base_columns
         own = [k for k, p in enumerate(fitted) if p.name in names and p.joint == joint]
         covariance = fit.covariance[np.ix_(own, own)]
         if not own or not np.isfinite(covariance).all():
-            return True
-        distance = fit.values[own] @ np.linalg.pinv(covariance, hermitian=True) @ fit.values[own]
-        return bool(distance >= deviations**2 * len(own))
+            return float("nan")
+        inverse = np.linalg.pinv(covariance, hermitian=True)
+        return float(
+            np.sqrt(max(float(fit.values[own] @ inverse @ fit.values[own]), 0.0) / len(own))
+        )
 
 
 def fitted_values(
@@ -140,6 +142,8 @@ def steps_of(
     rows: Rows,
     torque: Array,
     tested: Comparison | None,
+    *,
+    name_deviations: float,
 ) -> tuple[Step, ...]:
     """Return the steps of a final model: every number is that of its fit.
 
@@ -152,6 +156,8 @@ def steps_of(
     groups = groups_of(accepted)
     steps = []
     for k, found in enumerate(accepted):
+        deviations = found.coefficient_deviations(fit)
+        uncertain = found.status == "named" and deviations < name_deviations
         replaced = tuple(Rival(c.label, c.name, c.joints, "data") for c in found.replaced)
         later = columns[k + 1 :]
         so_far = final.errors(np.concatenate([np.zeros(0, dtype=np.intp), *later]))
@@ -168,7 +174,7 @@ def steps_of(
                 effect=found.candidate.name,
                 joints=found.candidate.joints,
                 joint=j,
-                status=found.status,
+                status="one_of" if uncertain else found.status,
                 parameters={name: value for name, (value, _, _) in numbers.items()},
                 std={name: std for name, (_, std, _) in numbers.items()},
                 units={name: unit for name, (_, _, unit) in numbers.items()},
@@ -177,7 +183,7 @@ def steps_of(
                 fall=Fall(fall["train"], fall["cv"], fall["test"]),
                 share=share_of(before, after, float(torque[j])),
                 confirmed=None if fall["test"] is None else fall["test"] > 0.0,
-                evidence=found.evidence,
+                evidence=replace(found.evidence, coefficient_deviations=deviations),
                 rivals=found.rivals,
                 group=groups[k],
                 depends_on=signals_of(found.placement),

@@ -83,7 +83,7 @@ def purposes(
         why = f"No effect of the library describes the error of {text} over {', '.join(signals)}."
         found.append(Purpose("range", groups, signals, why))
     options = DiagnosisOptions()
-    doubtful = {s.label: s.evidence.deviations for s in diagnosis.steps if _may_be_decided(s)}
+    doubtful = {s.label: s.evidence.certainty for s in diagnosis.steps if _may_be_decided(s)}
     doubtful |= {
         label: deviations
         for label, deviations in diagnosis.undecided

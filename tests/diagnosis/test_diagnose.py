@@ -157,6 +157,19 @@ def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
     np.testing.assert_array_equal(again.values, diagnosis.fit.values)
 
 
+def test_a_name_needs_coefficients_of_three_standard_deviations(monkeypatch):
+    train = two_runs(("stribeck", 0, 1.0))[0]
+    (step,) = lieid.diagnose(MODEL, train).steps
+    (value, std) = step.parameters["f_s-f_c"], step.std["f_s-f_c"]
+    assert step.status == "named"
+    assert step.evidence.coefficient_deviations == pytest.approx(value / std, rel=1e-9)
+    monkeypatch.setattr(Accepted, "coefficient_deviations", lambda self, fit: 2.75)
+    doubtful = lieid.diagnose(MODEL, train)
+    assert [(s.label, s.status, s.rivals) for s in doubtful.steps] == [(step.label, "one_of", ())]
+    assert "it is only 2.8 standard deviations from zero" in doubtful.sentences[0]
+    assert doubtful.to_dict()["steps"][0]["evidence"]["coefficient_deviations"] == 2.75
+
+
 def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
     (step,) = lieid.diagnose(MODEL, two_runs(("stribeck", 0, 1.0))[0]).steps
     effect = replace(step, status="named", rivals=(), before=3.0, after=1.0)
