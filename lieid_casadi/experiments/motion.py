@@ -317,21 +317,21 @@ class MotionDesign:
             shown = partial(self._shown, found, labels, sizes)
             known = sum(shown(part) for r in recordings for part in process(r, found.processing))
             needed = np.maximum(known * np.array([growth[group] for group in chosen]), 1e-9)
-            parts = [float(np.min(shown(design.motion()) / needed)) for design in designs]
-            lengths = [design.trajectory.duration for design in designs]
-            counts = [
-                int(np.clip(np.ceil(1.0 / max(part, 1e-9)), 1, round(self.seconds / length)))
-                for part, length in zip(parts, lengths, strict=True)
-            ]
-            k = max(
-                range(len(designs)),
-                key=lambda k: (min(counts[k] * parts[k], 1.0), -counts[k] * lengths[k]),
-            )
-            share, names = counts[k] * parts[k], ", ".join(labels)
-            suffices = "suffice" if share >= 1.0 else f"show {share:.0%} of what is needed"
-            promise = f"This motion should {suffices} to be certain of {names}."
-            return designs[k].motion(periods=counts[k]), promise, found
+            options = [self._repeated(design, shown, needed) for design in designs]
+            main, share = max(options, key=lambda each: (min(each[1], 1.0), -each[0].t[-1]))
+            enough = "suffice" if share >= 1.0 else f"show {share:.0%} of what is needed"
+            names = ", ".join(labels)
+            return main, f"This motion should {enough} to be certain of {names}.", found
         return *self._exciting(self.fit, number, progress), self.fit
+
+    def _repeated(
+        self, design: Discrimination, shown: Callable[[MotionSamples], Array], needed: Array
+    ) -> tuple[MotionSamples, float]:
+        """Return a motion repeated until it suffices or the time is over, and its share of that."""
+        share = float(np.min(shown(design.motion()) / needed))
+        most = round(self.seconds / design.trajectory.duration)
+        periods = int(np.clip(np.ceil(1.0 / max(share, 1e-9)), 1, most))
+        return design.motion(periods=periods), periods * share
 
     def _shown(
         self,
