@@ -243,10 +243,8 @@ def test_one_length_without_a_motion_leaves_the_others(
         return lieid.excite(*arguments, duration=duration, max_iterations=20, **options)
 
     monkeypatch.setattr(motion, "excite", short_ones)
-    purpose = Purpose("evidence", (("stribeck:1",),), growth=(0.5,))
-    made = planned(design, purpose, ambiguous.fit, [given], tmp_path)
-    lengths = np.array([17.0 / 2, 17.0 / 3])
-    assert np.isclose(made.duration - made.probe, lengths, atol=0.01).any()
+    made = planned(design, Purpose("excitation"), ambiguous.fit, [given], tmp_path)
+    assert np.isclose(made.duration - made.probe, [17.0 / 2, 17.0 / 3], atol=0.01).any()
 
 
 def test_a_motion_for_rivals_separates_them(design, ambiguous, given, tmp_path):
@@ -281,13 +279,16 @@ def test_a_motion_for_one_effect_shows_friction_near_standstill(design, tmp_path
         s, sensors = motion.samples, plant.demo_sensors(ROBOT, rate=200.0)
         return plant.measure_along(robot, s.t, s.q, s.dq, s.ddq, sensors=sensors, seed=seed)
 
-    excitation = Purpose("excitation")
-    first = recorded(planned(design, excitation, None, [], tmp_path), 1)
+    first = recorded(planned(design, Purpose("excitation"), None, [], tmp_path), 1)
     before = lieid.diagnose(design.model, first)
     assert before.steps == ()
-    (need,) = (d for label, d in before.undecided if label == "stribeck:1")
-    purpose = Purpose("evidence", (("stribeck:1",),), growth=(growth(3.0, need),))
+    wanted = growth(3.0, dict(before.undecided)["stribeck:1"])
+    purpose = Purpose("evidence", (("stribeck:1",),), growth=(wanted,))
     motion = planned(design, purpose, before.fit, [first], tmp_path)
+    assert "% of what is needed" in motion.promise
+    short = planned(design, replace(purpose, growth=(0.1,)), before.fit, [first], tmp_path)
+    assert short.promise == "This motion should suffice to be certain of stribeck:1."
+    assert short.duration < motion.duration - 10.0
     after = lieid.diagnose(design.model, [first, recorded(motion, 2)])
     assert [(step.label, step.status) for step in after.steps] == [("stribeck:1", "named")]
 
