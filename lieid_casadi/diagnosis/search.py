@@ -86,17 +86,15 @@ def search(
     rows = rows.with_candidates([c for c in rows.candidates if c.name != SMOOTH and wanted(c)])
     scale = rows.spread() if noise is None else np.array([each.spread for each in noise])
     nothing = np.zeros((0, sum(run.count for run in rows.runs)), dtype=bool)
-    whole: tuple[int, ...] = ()
-    paths = Paths(*_weighted(rows, scale, prior), nothing)
+    rests = list[list[Array]]()
     for _ in range(2):  # on the first grid, then on finer ones around what it chose
-        whole = forward(paths, -1, _rules(paths.columns, rows, options))
-        if noise is None:
-            scale = rows.spread(_residual_beside(paths, whole, rows, scale))
-        refined = _refined(paths, whole, rows)
-        rows = rows.with_candidates(refined)
         paths = Paths(*_weighted(rows, scale, prior), nothing)
-    if with_smooth:
+        whole = forward(paths, -1, _rules(paths.columns, rows, options))
         rests = [_residual_beside(paths, groups, rows, scale) for groups in (whole, ())]
+        if noise is None:
+            scale = rows.spread(rests[0])
+        rows = rows.with_candidates(_refined(paths, whole, rows))
+    if with_smooth:
         known = {c.label: c for c in smooth_candidates(rows, rests, scale) if wanted(c)}
         rows = rows.with_candidates([*rows.columns.owners, *known.values()])
     if prior is None:
@@ -317,7 +315,7 @@ def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:
             effect = columns.owners[owner].effect
             if effect.shapes:
                 points.setdefault(owner, set()).add(int(columns.point[g]))
-            elif isinstance(effect, ArmEffect):
+            elif isinstance(effect, ArmEffect) and not effect.linear:
                 more.setdefault(owner, []).append(values[columns.of_group(g)])
     refined = list(columns.owners)
     for k, own in points.items():

@@ -12,7 +12,7 @@ from experiments.arms import sines
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import DiagnosisOptions
+from lieid_casadi.diagnosis import DiagnosisOptions, search
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
@@ -179,6 +179,21 @@ def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
         assert [s.status for s in beside_smooth_functions(steps)] == ["named", "shape"]
     for steps in ((effect, larger), (shape, effect)):
         assert {s.status for s in beside_smooth_functions(steps)} == {"one_of", "shape"}
+
+
+def test_smooth_functions_are_chosen_beside_the_path(monkeypatch):
+    """A refined grid numbers groups anew: those of the path are not the same numbers of later."""
+    errors = []
+
+    def beside(rows, residuals, spread):
+        errors.append((rows.spread(residuals[0]), spread))
+        return []
+
+    monkeypatch.setattr(search, "smooth_candidates", beside)
+    diagnosis_of(("stribeck", 0, 2.0), ("load_friction", 1, 2.0), seed=5)
+    assert errors
+    for found, of_path in errors:
+        np.testing.assert_allclose(found, of_path, rtol=1e-9)
 
 
 def test_cross_talk_of_torque_sensors_is_a_smooth_function_of_the_other_joints_load():
