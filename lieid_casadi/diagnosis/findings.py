@@ -10,6 +10,7 @@ from lieid_casadi.diagnosis.candidates import follows_temperature, is_delay
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.step import Difference, Step, Unexplained
 from lieid_casadi.effects.registry import REGISTER, make
+from lieid_casadi.effects.smooth import Smooth
 from lieid_casadi.tables import std_text, value_text
 
 MOST_RIVALS = 3  # named in a sentence; the JSON has all
@@ -122,11 +123,14 @@ def _rivals(steps: Sequence[Step]) -> str:
     """Return the rivals that all steps of a finding have, as the end of its sentence."""
     step = steps[0]
     shared = set.intersection(*({r.effect for r in s.rivals} for s in steps))
-    every = [
-        r.effect if r.joints == step.joints else f"{r.effect} on {location(r.joints)}"
-        for r in step.rivals
-        if r.effect in shared
-    ]
+    if step.effect != Smooth.name and Smooth.name in shared:
+        function = step.rivals[0].label.partition(":")[0]
+        return f"; its form is not certain beside the function {function}"
+    every = []
+    for r in step.rivals:
+        name = r.label.partition(":")[0] if r.effect == Smooth.name else r.effect
+        if r.effect in shared:
+            every.append(name if r.joints == step.joints else f"{name} on {location(r.joints)}")
     labels = list(dict.fromkeys(every))  # variants of one effect are named once
     if not labels:
         return ""

@@ -14,6 +14,7 @@ from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import DiagnosisOptions, search
 from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.findings import finding
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
@@ -179,6 +180,10 @@ def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
         assert [s.status for s in beside_smooth_functions(steps)] == ["named", "shape"]
     for steps in ((effect, larger), (shape, effect)):
         assert {s.status for s in beside_smooth_functions(steps)} == {"one_of", "shape"}
+    doubtful, _ = beside_smooth_functions([effect, larger])
+    assert "; its form is not certain beside the function smooth/dq" in finding(
+        [doubtful], "missing"
+    )
 
 
 def test_smooth_functions_are_chosen_beside_the_path(monkeypatch):
