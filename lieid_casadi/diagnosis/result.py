@@ -242,7 +242,7 @@ def evidence_table(d: Diagnosis) -> Table:
         "of torque": [percent(step.share) for step in steps],
         "gain / its error": [figures(step.evidence.deviations, digits=2) for step in steps],
         "selected": [percent(step.evidence.selected) for step in steps],
-        "fits as well": [_rival_text(step) for step in steps],
+        "rivals": [_rival_text(step) for step in steps],
     }
     if d.mode == "changed" or not any(step.fall.test is not None for step in steps):
         del columns["on the test by, N·m"]

@@ -18,7 +18,7 @@ from lieid_casadi.discrimination.motion_search import (
     random_search,
 )
 from lieid_casadi.discrimination.rival_effects import RivalEffects, groups_of
-from lieid_casadi.errors import ExcitationError, ModelError
+from lieid_casadi.errors import ExcitationError, ModelError, NoSolution
 from lieid_casadi.excitation.checks import MARGIN, control_times, default_limits, verify
 from lieid_casadi.excitation.limits import Limit, motion_range
 from lieid_casadi.excitation.sample_functions import FittedArm
@@ -164,23 +164,22 @@ def discriminate(
     )  # fmt: skip
 
 
-def separating_seconds(
-    fit: Fit,
-    effects: Sequence[Sequence[str]],
-    motion: MotionSamples,
-    *,
-    sizes: Mapping[str, Sequence[float]],
-    velocity: Array,
+def shown_of(
+    fit: Fit, effect: str, motion: MotionSamples, *, size: Sequence[float], velocity: Array
 ) -> float:
-    """Return how long a stated motion must be repeated to separate effects, as `discriminate`, s.
+    """Return what a stated motion shows of one effect of a stated size.
 
-    ``velocity`` (n,) are the speed limits. A `NoSolution` if no time suffices.
+    This is the noncentrality of the test against its absence, relative to that which `discriminate`
+    needs; 0 where other parameters absorb the effect. ``velocity`` (n,) are the speed limits.
     """
-    duration = float(motion.t[-1])
-    groups = _groups(fit, effects, sizes, duration=duration, velocity=velocity, level=LEVEL)
-    for group in groups:
+    (group,) = _groups(
+        fit, [effect], {effect: size}, duration=float(motion.t[-1]), velocity=velocity, level=LEVEL
+    )
+    try:
         group.prepare([motion])
-    return duration / min(group.worst(motion) for group in groups)
+    except NoSolution:
+        return 0.0
+    return group.worst(motion)
 
 
 def _groups(

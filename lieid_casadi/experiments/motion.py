@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import compile
 from lieid_casadi.discrimination import Discrimination, discriminate
-from lieid_casadi.discrimination.discriminate import separating_seconds
+from lieid_casadi.discrimination.discriminate import shown_of
 from lieid_casadi.discrimination.motion_search import feasible_motions
 from lieid_casadi.discrimination.rival_effects import fitted_numbers
 from lieid_casadi.errors import EffectError, LieidError, NoSolution
@@ -314,7 +314,7 @@ class MotionDesign:
                 designs = self._separations(chosen, sizes, found, progress)
             except (NoSolution, EffectError):
                 continue
-            shown = partial(self._shown, found, labels, sizes)
+            shown = partial(self._shown, found, {x: designs[0].sizes[x] for x in labels})
             known = sum(shown(part) for r in recordings for part in process(r, found.processing))
             needed = np.maximum(known * np.array([growth[group] for group in chosen]), 1e-9)
             options = [self._repeated(design, shown, needed) for design in designs]
@@ -334,27 +334,15 @@ class MotionDesign:
         return design.motion(periods=periods), periods * share
 
     def _shown(
-        self,
-        found: Fit,
-        labels: Sequence[str],
-        sizes: Mapping[str, Sequence[float]],
-        motion: MotionSamples | Processed,
+        self, found: Fit, sizes: Mapping[str, Sequence[float]], motion: MotionSamples | Processed
     ) -> Array:
-        """Return what a motion shows of effects, relative to what separates each from absence."""
+        """Return what a motion shows of each effect of stated size."""
         every = max(round(len(motion.t) / (motion.t[-1] - motion.t[0]) / JUDGED_RATE), 1)
-        kinds = [getattr(motion, name)[::every] for name in ("t", "q", "dq", "ddq")]
-        part = MotionSamples(kinds[0] - kinds[0][0], *kinds[1:])
-        shown = []
-        for label in labels:
-            try:
-                seconds = separating_seconds(
-                    found, [(label,)], part, velocity=self.range.velocity,
-                    sizes={label: sizes[label]} if label in sizes else {},
-                )  # fmt: skip
-            except NoSolution:
-                seconds = np.inf
-            shown.append(float(part.t[-1]) / seconds)
-        return np.array(shown)
+        t, *kinds = [getattr(motion, name)[::every] for name in ("t", "q", "dq", "ddq")]
+        part, velocity = MotionSamples(t - t[0], *kinds), self.range.velocity
+        return np.array(
+            [shown_of(found, label, part, size=x, velocity=velocity) for label, x in sizes.items()]
+        )
 
 
 def joints_of(names: Sequence[str]) -> set[int]:

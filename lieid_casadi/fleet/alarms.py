@@ -190,7 +190,7 @@ def _described(arm: ArmHistory, changed: Sequence[judging.ChangedQuantity], sinc
     )  # fmt: skip
     key, text = (alarm.quantity, alarm.joint), alarm.sentence
     rivals = (named[key][-1].rivals or "") if key in named else ""
-    text += f"; fits as well: {rivals}" if rivals else ""
+    text += f"; rivals: {rivals}" if rivals else ""
     others = [judging.label_of(*other) for other in named if other != key]
     text += f"; also found: {', '.join(others[:3])}" if others else ""
     return replace(alarm, rivals=rivals, sentence=text)

@@ -227,7 +227,7 @@ def _finding(step: Step) -> Finding:
         number_or_none(float(spread)),
         unit,
         float(np.nan_to_num(step.share)),
-        sentence + (f"; fits as well: {rivals}" if rivals else ""),
+        sentence + (f"; rivals: {rivals}" if rivals else ""),
         rivals,
     )
 

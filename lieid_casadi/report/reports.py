@@ -77,7 +77,7 @@ def diagnosis_report(diagnosis: lieid.Diagnosis, comparison: Comparison | None =
         rejected_table(diagnosis),
         titles=True,
         links=anchors(step.label.partition(":")[0] for step in diagnosis.steps),
-        text={"fits as well", "reason", "not added"},
+        text={"rivals", "reason", "not added"},
     )
     named = [step.label.partition(":")[0] for step in diagnosis.steps]
     named += [rival.effect for step in diagnosis.steps for rival in step.rivals]

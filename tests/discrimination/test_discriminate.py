@@ -12,9 +12,13 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.discrimination import discriminate
+from lieid_casadi.discrimination.discriminate import shown_of
 from lieid_casadi.discrimination.motion_search import independent_rate
 from lieid_casadi.errors import NoSolution
 from lieid_casadi.excitation import Torque
+from lieid_casadi.excitation.checks import MARGIN
+from lieid_casadi.excitation.limits import motion_range
+from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 
 RIVALS = ("stribeck:1", "viscous_polynomial:1")
@@ -163,7 +167,15 @@ def test_one_effect_is_separated_from_its_absence(robot, fit):
     (pair,) = design.pairs
     assert (pair.rival, pair.remaining < 1.0) == ("its absence", True)
     assert f"separate it from {pair.rival}" in design.summary()
-    motion = design.motion(rate=1000.0)
+    motion, velocity = design.motion(rate=1000.0), motion_range(robot, margin=MARGIN).velocity
+    for periods in (1, 3):
+        shown = shown_of(
+            fit, label, design.motion(rate=1000.0, periods=periods), size=[stiffness],
+            velocity=velocity,
+        )  # fmt: skip
+        assert shown == pytest.approx(periods * pair.noncentrality / pair.needed, rel=0.01)
+    still = MotionSamples(motion.t, 0.0 * motion.q + 0.5, 0.0 * motion.dq, 0.0 * motion.ddq)
+    assert shown_of(fit, label, still, size=[stiffness], velocity=velocity) == 0.0
     arm = plant.demo_arm(robot, hidden=plant.PositionSpring(1, stiffness=stiffness))
     recording = measured(arm, motion.t, motion.q, motion.dq, motion.ddq, 7)
     model = lieid.Model(robot, [*EFFECTS, label])
