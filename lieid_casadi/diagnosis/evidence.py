@@ -37,7 +37,9 @@ class Slot:
     group: int
     #: (K,): ln of the error of each held-out part without it over that with it, on its joints
     gains: Array
-    #: their mean in its standard errors
+    #: (K,): the same of what it changes there, if the error is uncorrelated with that
+    expected: Array
+    #: mean of the gains in its standard errors
     deviations: float
     #: (n,) each: weighted held-out sum of squares of each joint without it and with it
     before: Array
@@ -112,13 +114,14 @@ def judge(
     values = dict(zip(whole, np.split(both, ends.astype(int)), strict=False))
     torque = {g: outside[g] @ values[g] for g in whole}
     members = [_members(whole, path, outside, torque, columns.owner) for path in parts]
-    gains = np.zeros((len(whole), folds.count))
+    gains, expected = np.zeros((2, len(whole), folds.count))
     squares = np.zeros((folds.count, n))
     before, after = np.zeros((2, len(whole), n))
     for k, path in enumerate(parts):
         frictions = [g for own in places.values() for g in own]
         held = HeldOut(span, folds, k, {g: outside[g] for g in (*path, *frictions)})
-        squares[k] = held.squares(path)
+        of_path = held.errors(path)
+        squares[k] = held.squares(of_path)
         for e, group in enumerate(whole):
             mine = members[k][group]
             candidate = columns.candidate(group)
@@ -127,16 +130,19 @@ def judge(
             beside = [places[kind][j] for kind in kinds for j in own]
             used = _without_later_functions(path, mine, columns)
             at = steady if "rest" in kinds else None
-            complete = squares[k]
-            if beside or len(used) < len(path) or at is not None:
-                complete = held.squares([*used, *beside], at)
+            complete = of_path
+            if beside or len(used) < len(path):
+                complete = held.errors([*used, *beside])
             rest = [g for g in used if g not in mine]
-            without = held.squares([*rest, *beside], at) if mine else complete
-            if without[own].sum() > 0.0:
-                least = SMALLEST * without[own].sum()
-                gains[e, k] = 0.5 * np.log(without[own].sum() / max(complete[own].sum(), least))
-            before[e] += without
-            after[e] += complete
+            without = held.errors([*rest, *beside]) if mine else complete
+            # a part whose path lacks the effect counts with what the effect would be
+            change = without - complete if mine else held.part_of(torque[group])
+            less, more = held.squares(without, at), held.squares(complete, at)
+            error, size = more[own].sum(), held.squares(change, at)[own].sum()
+            gains[e, k] = _gain(less[own].sum(), error)
+            expected[e, k] = _gain(error + size, error)
+            before[e] += less
+            after[e] += more
     found = []
     for e, group in enumerate(whole):
         own = [columns.owner[group] in columns.owner[list(m[group])] for m in members]
@@ -146,7 +152,8 @@ def judge(
             Slot(
                 group,
                 gains[e],
-                folds.deviations(gains[e], joint),
+                expected[e],
+                folds.deviations(gains[e], expected[e], joint),
                 before[e],
                 after[e],
                 float(np.mean(own)),
@@ -188,6 +195,11 @@ def _without_later_functions(
     return [g for g in path if g not in later or columns.candidate(g).joint != joint]
 
 
+def _gain(before: float, after: float) -> float:
+    """Return ln of an RMS error over a later one, from sums of squares."""
+    return float(0.5 * np.log(before / max(after, SMALLEST * before))) if before > 0.0 else 0.0
+
+
 class HeldOut:
     """Errors on one held-out part of models with further columns, fitted to the rows outside it."""
 
@@ -213,18 +225,26 @@ class HeldOut:
             g: np.arange(a, a + w) for g, a, w in zip(columns, starts, widths, strict=False)
         }
 
-    def squares(self, groups: Sequence[int], at: Mask | None = None) -> Array:
-        """Return the sum of squared errors of each joint (n,) of the model with some groups.
-
-        Of all held-out rows, or of those that are marked in ``at`` (R,).
-        """
+    def errors(self, groups: Sequence[int]) -> Array:
+        """Return the errors of the held-out rows of the model with some groups."""
         error = self._held[:, 0]
         if groups:
             own = np.concatenate([self._at[g] for g in groups])
             both = np.ix_(own, own)
             values = determined(self._gram[both], self._gram[own, 0], self._whole[both])
             error = error - self._held[:, own] @ values
-        squares = error**2 if at is None else error**2 * at[self._rows]
+        return np.asarray(error)
+
+    def part_of(self, torque: Array) -> Array:
+        """Return a torque (R + k,) on the held-out rows."""
+        return np.asarray(torque[: len(self._rows)][self._rows])
+
+    def squares(self, errors: Array, at: Mask | None = None) -> Array:
+        """Return the sum of squares of each joint (n,) of errors.
+
+        Of all held-out rows, or of those that are marked in ``at`` (R,).
+        """
+        squares = errors**2 if at is None else errors**2 * at[self._rows]
         return np.asarray(np.bincount(self._joint, weights=squares, minlength=self._n), float)
 
 

@@ -20,6 +20,7 @@ from lieid_casadi.recording.periods import detect_period
 
 Mask = NDArray[np.bool_]
 LARGEST_GAP = 0.25  # of the length of a part
+LEAST_OTHERS = 1e-3  # of what is expected of an effect, in the parts beside one
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,14 +41,23 @@ class Folds:
         """Number of parts."""
         return len(self.held)
 
-    def deviations(self, gains: Array, joint: int) -> float:
-        """Return the mean of gains (K,) on a joint in its standard errors.
+    def deviations(self, gains: Array, expected: Array, joint: int) -> float:
+        """Return the mean gain (K,) of an effect on held-out parts in its standard errors.
 
-        Parts count as far as each has `LEAST_STRETCHES` that are independent.
+        An effect does not act equally in all parts. Its gains are therefore compared with those
+        ``expected`` (K,) of what it changes there, by the ratio of the sums: parts where it does
+        nothing are no doubt about it. Noise scatters with a variance proportional to what is
+        expected; the standard error is unbiased then (Royall and Cumberland, Journal of the
+        American Statistical Association 1981). Parts count as far as each has `LEAST_STRETCHES`
+        that are independent.
         """
+        total = float(expected.sum())
+        if total <= 0.0:
+            return 0.0
+        others = np.maximum(1.0 - expected / total, LEAST_OTHERS)
+        scatter = np.mean((gains - gains.sum() / total * expected) ** 2 / others)
         parts = np.clip(self.independent[joint] / LEAST_STRETCHES, 1.0, self.count)
-        error = float(np.std(gains, ddof=1) / np.sqrt(parts))
-        return float(np.mean(gains)) / max(error, 1e-12)
+        return float(np.mean(gains) / max(np.sqrt(scatter / parts), 1e-12))
 
 
 def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:

@@ -178,7 +178,8 @@ def _lowers(
     if not after.any() or 1.0 - np.sqrt(after.sum() / before.sum()) < options.worth:
         return False
     ratio = np.divide(before, after, out=np.ones(len(after)), where=after > 0.0)  # 1 without rows
-    return folds.deviations(0.5 * np.log(ratio), joint) > options.gain_deviations
+    gains = 0.5 * np.log(ratio)
+    return folds.deviations(gains, np.ones(len(gains)), joint) > options.gain_deviations
 
 
 def _promising(paths: Paths, whole: Sequence[int], rules: Rules) -> NDArray[np.intp]:

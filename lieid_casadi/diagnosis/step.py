@@ -56,8 +56,10 @@ class Evidence:
     gains : tuple of float
         ln of the error of each held-out part without the effect over that with it. The choice of
         the effect did not see the part.
+    expected : tuple of float
+        The same if what the effect changes in a part were uncorrelated with the error there.
     deviations : float
-        Mean of the gains in its standard errors.
+        Mean of the gains in its standard errors, from their scatter about those expected.
     selected : float
         Fraction of the paths, each without one part, that contain the effect.
     selected_with_rivals : float
@@ -71,6 +73,7 @@ class Evidence:
     """
 
     gains: tuple[float, ...]
+    expected: tuple[float, ...]
     deviations: float
     selected: float
     selected_with_rivals: float
@@ -86,6 +89,7 @@ class Evidence:
         """Return the evidence for JSON."""
         return {
             "gains": list(self.gains),
+            "expected": list(self.expected),
             "deviations": number_or_none(self.deviations),
             "coefficient_deviations": number_or_none(self.coefficient_deviations),
             "selected_with_rivals": self.selected_with_rivals,

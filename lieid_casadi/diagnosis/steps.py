@@ -63,6 +63,7 @@ class Accepted:
         rivals = tuple(rival for _, rival in near)
         evidence = Evidence(
             tuple(map(float, slot.gains)),
+            tuple(map(float, slot.expected)),
             slot.deviations,
             slot.selected,
             slot.selected_any,

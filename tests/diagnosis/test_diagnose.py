@@ -535,7 +535,7 @@ def test_a_joint_that_is_held_in_training_may_be_unexplained_in_the_test():
 def test_a_filter_of_torque_is_no_form_of_friction_over_speed():
     def forms(label):
         (placement,) = place(label, ROBOT.n)
-        evidence = Evidence((), 0.0, 1.0, 1.0, 10)
+        evidence = Evidence((), (), 0.0, 1.0, 1.0, 10)
         candidate = Candidate(placement, np.zeros((1, 1)))
         accepted = Accepted(candidate, np.zeros(1), 1, evidence, (), True, False)
         return [each.placement.label for each in other_forms([accepted], MODEL)]

@@ -83,7 +83,8 @@ def test_held_out_errors_are_those_of_a_fit_to_the_other_rows():
         values = np.linalg.lstsq(matrix[rest], residual[rest])[0]
         error = residual[held] - matrix[held] @ values
         expected = np.bincount(span.joint_of[held], weights=error**2)
-        found = HeldOut(span, folds, k, outside).squares(groups)
+        part = HeldOut(span, folds, k, outside)
+        found = part.squares(part.errors(groups))
         np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
@@ -103,6 +104,41 @@ def test_effects_that_are_there_are_selected_in_every_path_and_noise_is_not_supp
             assert slot.deviations > 3.0
         else:
             assert slot.deviations < 2.0
+
+
+def test_standard_errors_of_gains_are_those_of_repeated_noise():
+    folds, random = parts(10), np.random.default_rng(11)
+    expected = np.array([0.0, 0.01, 0.01, 0.02, 0.05, 0.05, 0.1, 0.3, 0.02, 0.04])
+    noise = random.normal(size=(4000, 10)) * np.sqrt(expected)
+    means, errors = np.zeros((2, 4000))
+    for k, gains in enumerate(0.8 * expected + 0.1 * noise):
+        means[k] = gains.mean()
+        errors[k] = means[k] / folds.deviations(gains, expected, 0)
+    assert np.mean(errors**2) == pytest.approx(np.var(means), rel=0.08)
+
+
+def test_gains_in_few_parts_count_where_the_effect_is_expected_there():
+    folds = parts(10)
+    gains = np.array([0.0, 0.07, -0.06, 0.12, -0.02, 0.04, 0.04, 0.62, 0.33, 0.0])
+    equal, own = np.full(10, 0.1), np.maximum(gains, 0.01)
+    student = gains.mean() / (gains.std(ddof=1) / np.sqrt(10))
+    assert folds.deviations(gains, equal, 0) == pytest.approx(student)
+    assert folds.deviations(gains, own, 0) > 5.0
+    assert folds.deviations(gains, own[::-1], 0) < 2.0
+    assert folds.deviations(np.zeros(10), np.zeros(10), 0) == 0.0  # no path contains the effect
+
+
+def test_a_part_whose_path_lacks_the_effect_counts_against_it():
+    model, residual, columns = problem(3, signal=(2,), size=0.4)
+    span, folds = Span.of(model, np.split(residual, 2)), parts(10)
+    paths, rows = Paths(span, columns, folds.out), np.ones(len(span.residual), dtype=bool)
+    (every,), _ = judge(paths, folds, [2], [[2]] * 10, {}, rows)
+    (some,), _ = judge(paths, folds, [2], [[2]] * 6 + [[]] * 4, {}, rows)
+    assert not some.gains[6:].any()
+    assert (some.expected[6:] > 0.0).all()
+    assert some.deviations < every.deviations
+    present = np.where(np.arange(10) < 6, some.expected, 0.0)
+    assert some.deviations < 0.8 * folds.deviations(some.gains, present, 1)
 
 
 def test_an_effect_is_judged_without_a_smooth_function_that_came_after_it_and_contains_it():
