@@ -325,7 +325,8 @@ def test_effects_whose_gain_is_not_certain_are_undecided():
     )
 
 
-def test_an_effect_whose_gain_is_doubtful_is_added_without_a_name():
+def test_an_effect_whose_gain_is_doubtful_is_added_without_a_name(monkeypatch):
+    monkeypatch.setattr(Accepted, "coefficient_deviations", lambda self, fit: 1e6)
     certain = diagnosis_of(LOAD_FRICTION)
     doubtful = lieid.diagnose(
         MODEL, *two_runs(LOAD_FRICTION), options=DiagnosisOptions(name_deviations=1000.0)

