@@ -83,12 +83,7 @@ def effect_torques(fit: Fit, segment: Processed) -> list[tuple[Placement, Array]
     segment = relative_temperature(segment, fit.temperature_mean)
     columns = effects_along(fit.compiled, segment, fit.shapes, fit.parameters)
     torques = columns * fit.effect_coefficients
-    found, first = [], 0
-    for placement in fit.model.placements:
-        last = first + len(placement.effect.coefficients)
-        found.append((placement, torques[:, :, first:last].sum(axis=2)))
-        first = last
-    return found
+    return [(s.placement, torques[:, :, s.columns].sum(axis=2)) for s in fit.model.slots]
 
 
 PER_JOINT = 3

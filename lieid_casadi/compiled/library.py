@@ -101,20 +101,16 @@ def load_runtime(path: Path) -> Runtime:
         return Runtime(lanes, dense, columns, states)
 
 
-@dataclass(frozen=True, eq=False)
-class Reducer:
-    """``codegen/lieid_reduce.c``, compiled: its function, which releases the GIL."""
-
-    matrix: Callable[..., None]
+Reducer = Callable[..., None]
 
 
 def load_reducer(path: Path) -> Reducer:
-    """Load the reducer; `CompilerError` if the system refuses it or it lacks a symbol."""
+    """Return the function of ``codegen/lieid_reduce.c``; `CompilerError` as `load_runtime`."""
     with _opened(path) as library:
-        matrix = library.lieid_reduce_matrix
-        matrix.argtypes = [POINTER, WHOLE, WHOLE, WHOLE, POINTER, POINTER]
-        matrix.restype = None
-        return Reducer(matrix)
+        reduce: Reducer = library.lieid_reduce_matrix
+        library.lieid_reduce_matrix.argtypes = [POINTER, WHOLE, WHOLE, WHOLE, POINTER, POINTER]
+        library.lieid_reduce_matrix.restype = None
+        return reduce
 
 
 @contextmanager

@@ -15,7 +15,6 @@ from scipy.linalg import qr
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled.kernels import reducer
-from lieid_casadi.compiled.library import Reducer
 
 BLOCK = 512  # rows reduced at once
 PADDING = 8  # doubles between columns, see `blocks`
@@ -35,7 +34,7 @@ class Triangle:
 
     def __init__(self, columns: int) -> None:
         self.r = np.zeros((columns, columns))
-        self._reducer: Reducer | None = reducer()
+        self._reduce = reducer()
         self._block = np.zeros((columns, BLOCK + PADDING))
         self._pointers = np.zeros(columns, dtype=np.int64)
 
@@ -54,12 +53,12 @@ class Triangle:
             column += part.shape[1]
         if weights is not None:
             block[:, :count] *= weights
-        if self._reducer is None:
+        if self._reduce is None:
             small = triangular(np.vstack([self.r, block[:, :count].T]))
             self.r = np.triu(small)
             return
         block[:, count : count + MOST_LANES] = 0.0
-        self._reducer.matrix(
+        self._reduce(
             block.ctypes.data, count, len(block), block.shape[1],
             self._pointers.ctypes.data, self.r.ctypes.data,
         )  # fmt: skip

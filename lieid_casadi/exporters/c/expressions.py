@@ -76,19 +76,17 @@ class ExportExpressions(TorqueExpressions):
     @cached_property
     def effect_columns(self) -> ca.SX:
         """Columns (n, m) of all effects, those on the measurement included."""
-        columns, first = ca.SX(self.joint_columns), 0
-        for p in self.model.placements:
-            last = first + len(p.effect.coefficients)
+        columns = ca.SX(self.joint_columns)
+        for slot in self.model.slots:
+            p, own = slot.placement, slot.columns
             if isinstance(p.effect, ArmEffect):
-                values = self.values.effects[first:last]
-                now = p.effect.instant_columns(self._instant, p.joint, values)
+                now = p.effect.instant_columns(self._instant, p.joint, self.values.effects[own])
                 if now is None:
                     raise ExportError(
                         f"{p.label} needs the motion over time, and exported C has one instant; "
                         "expected a fit without this effect"
                     )
-                columns[:, first:last] = now
-            first = last
+                columns[:, own] = now
         return columns
 
     @cached_property
