@@ -20,7 +20,7 @@ import numpy as np
 import lieid_casadi as lieid
 from lieid_casadi import export, plant
 from lieid_casadi.codegen_files import codegen_folder
-from lieid_casadi.plant.stepper import DriveCommand, Stepper
+from lieid_casadi.plant.simulate import DriveCommand, Stepper
 
 EFFECTS = "coulomb,viscous,offset,load_friction:2"
 PERIOD = 1e-3  # s

@@ -20,7 +20,7 @@ import numpy as np
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.plant.stepper import DriveCommand, Stepper
+from lieid_casadi.plant.simulate import DriveCommand, Stepper
 
 EFFECTS = "coulomb,viscous,offset"
 PERIOD, INNER = 0.01, 1e-3  # s, of the optimization and of the torque

@@ -12,8 +12,7 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.dynamics.base_parameters import BaseParameters, base_parameters
-from lieid_casadi.dynamics.null_space import EnergyColumn
+from lieid_casadi.dynamics.base_parameters import BaseParameters, EnergyColumn, base_parameters
 from lieid_casadi.effects import Effect, Placement, parse_effects, place
 from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.effects.placement import labels

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.plant.drive import Drive
+from lieid_casadi.plant.arm import Drive
 
 Array = NDArray[np.float64]
 PRINTED: dict[str, Any] = yaml.safe_load((Path(__file__).parent / "printed.yaml").read_text())

@@ -16,8 +16,7 @@ from typing import NoReturn
 
 from lieid_casadi import __version__
 from lieid_casadi.cli import inputs
-from lieid_casadi.cli.option_types import check_paths, writes_to_stdout
-from lieid_casadi.cli.options import COMMANDS, Command
+from lieid_casadi.cli.options import COMMANDS, Command, check_paths, writes_to_stdout
 from lieid_casadi.cli.output import Outcome, visible
 from lieid_casadi.errors import LieidError, NoSolution, PremiseError
 

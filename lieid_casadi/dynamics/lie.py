@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.robot.geometry import relative
+from lieid_casadi.robot.inertia import relative
 from lieid_casadi.robot.robot import Robot
 
 ROUNDING = 1e-14  # below it a geometric constant is exactly 0 (or ±1)

@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.dynamics.base_parameters import BaseParameters
-from lieid_casadi.dynamics.null_space import RANK_TOLERANCE, rounded
+from lieid_casadi.dynamics.base_parameters import RANK_TOLERANCE, BaseParameters, rounded
 from lieid_casadi.errors import ModelError
 from lieid_casadi.robot import Robot
-from lieid_casadi.robot.geometry import relative
+from lieid_casadi.robot.inertia import relative
 
 Powers = tuple[tuple[str, int], ...]  # (name of a length, exponent)
 Values = Mapping[str, float]  # m, by the name of the length

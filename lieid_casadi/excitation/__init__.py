@@ -5,9 +5,8 @@ from lieid_casadi.excitation.clearance import Obstacle, SelfCollision, Wall, flo
 from lieid_casadi.excitation.criteria import Criterion
 from lieid_casadi.excitation.excite import Excitation, excite
 from lieid_casadi.excitation.friction_sweep import FrictionSweep, friction_sweep
-from lieid_casadi.excitation.limits import CartesianSpeed, ConstraintSet, Limit, SymbolicSet
+from lieid_casadi.excitation.limits import CartesianSpeed, ConstraintSet, Limit, SymbolicSet, Torque
 from lieid_casadi.excitation.links import Capsule, capsules_of, enclosing, load_capsules, skeleton
-from lieid_casadi.excitation.torque_limit import Torque
 from lieid_casadi.excitation.trajectory import Fourier
 
 __all__ = [

@@ -23,8 +23,11 @@ from lieid_casadi.excitation.limits import (
     Limit,
     LimitOnArm,
     MotionRange,
+    Torque,
+    joint_names,
     numbers,
     speed_points,
+    torque_limits,
 )
 from lieid_casadi.excitation.links import Capsule, Shape, capsules_of, collision_shapes
 from lieid_casadi.excitation.rigid_arm import (
@@ -34,7 +37,6 @@ from lieid_casadi.excitation.rigid_arm import (
     nearness_to_singular,
 )
 from lieid_casadi.excitation.sample_functions import FittedArm
-from lieid_casadi.excitation.torque_limit import Torque, joint_names, torque_limits
 from lieid_casadi.excitation.trajectory import MotionSamples
 from lieid_casadi.robot import Robot
 

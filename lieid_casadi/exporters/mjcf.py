@@ -1,17 +1,23 @@
-"""A fit as a MuJoCo model: kinematics, identified inertias, joint friction and actuators."""
+"""A fit as a MuJoCo model: written into the user's own model, or made from screws.
+
+In the user's own model everything but inertials, passive torques of joints and actuators stays as
+it is, character by character: default classes, names, geoms, sites, cameras, sensors, keyframes,
+comments. Attributes are written onto the elements themselves, and only where they differ from what
+the file and its default classes state.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
 import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError, NotReadWarning
-from lieid_casadi.exporters.mjcf_in_place import CannotEdit, edited_mjcf
 from lieid_casadi.exporters.simulator_joints import (
     ActuatorLaw,
     LinearFriction,
@@ -29,12 +35,15 @@ from lieid_casadi.exporters.simulator_joints import (
     source_of,
     vector,
 )
-from lieid_casadi.exporters.xml_text import allowed, comment
+from lieid_casadi.exporters.urdf import split
+from lieid_casadi.exporters.xml_text import Element, XmlText, allowed, comment
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot import Joint
-from lieid_casadi.simulation.play import Play, plays_of
+from lieid_casadi.robot.description import RobotSource
+from lieid_casadi.robot.urdf import RigidMember
+from lieid_casadi.simulation.step import Play, plays_of
 
-Element = ElementTree.Element
+Node = ElementTree.Element
 STEP, INTEGRATOR = 0.002, "implicitfast"  # s
 #: solreflimit of a play: the sides' time constant, s, the shortest that MuJoCo integrates stably
 #: with its step, and damping relative to critical damping.
@@ -54,7 +63,7 @@ def mjcf_files(fit: Fit, into: str | Path | None = None) -> tuple[dict[str, byte
     """Return the files of a MuJoCo model by their names, and notes on its approximations.
 
     That of a robot from a MuJoCo model is that model, or ``into``, with the numbers of the fit in
-    place (`mjcf_in_place`); that of others, ``ROBOT.xml``, is written from screws.
+    place (`edited_mjcf`); that of others, ``ROBOT.xml``, is written from screws.
 
     Raises `ExportError`: the fit's masses and inertias are not certified to be physically
     consistent; the message has the command that makes a fit whose are.
@@ -127,7 +136,7 @@ def mjcf_text(fit: Fit, *, step: float = STEP) -> tuple[str, list[str]]:
     if not np.all(np.isfinite(fit.parameters)):
         raise ExportError("a parameter of the fit is not finite; fit again")
     friction = linear_friction(fit)
-    root = ElementTree.Element("mujoco", model=allowed(robot.name) or "robot")
+    root = Node("mujoco", model=allowed(robot.name) or "robot")
     _add(root, "compiler", angle="radian", autolimits="true")
     gravity = vector(robot.gravity)
     _add(root, "option", timestep=number(step), integrator=INTEGRATOR, gravity=gravity)
@@ -170,11 +179,11 @@ def mjcf_text(fit: Fit, *, step: float = STEP) -> tuple[str, list[str]]:
     return f"<!--{head}-->\n{body}\n", notes
 
 
-def _add(parent: Element, tag: str, **attributes: str) -> Element:
+def _add(parent: Node, tag: str, **attributes: str) -> Node:
     return ElementTree.SubElement(parent, tag, attributes)
 
 
-def _add_link(parent: Element, place: Array, index: int) -> None:
+def _add_link(parent: Node, place: Array, index: int) -> None:
     """Draw a link from its origin to the next one; it neither weighs nor collides."""
     length = float(np.linalg.norm(place[:3, 3]))
     if index and length > 1e-3:
@@ -185,7 +194,7 @@ def _add_link(parent: Element, place: Array, index: int) -> None:
         )  # fmt: skip
 
 
-def _add_joint(parent: Element, joint: Joint, name: str, passive: PassiveTorques) -> None:
+def _add_joint(parent: Node, joint: Joint, name: str, passive: PassiveTorques) -> None:
     """Add a joint with its passive torques."""
     attributes = {"name": name, **_axis(joint)}
     limits = joint.limits
@@ -196,7 +205,7 @@ def _add_joint(parent: Element, joint: Joint, name: str, passive: PassiveTorques
     _add(parent, "joint", **attributes)
 
 
-def _add_play(parent: Element, joint: Joint, name: str, width: float) -> None:
+def _add_play(parent: Node, joint: Joint, name: str, width: float) -> None:
     """Add the angle of a link relative to its motor: a joint beside the actuated one.
 
     The armature of the actuated joint is then the inertia of the motor alone.
@@ -213,7 +222,7 @@ def _axis(joint: Joint) -> dict[str, str]:
     return {"type": "hinge", "axis": vector(omega), "pos": vector(np.cross(omega, v))}
 
 
-def _add_actuator(parent: Element, joint: Joint, name: str, law: ActuatorLaw | None) -> None:
+def _add_actuator(parent: Node, joint: Joint, name: str, law: ActuatorLaw | None) -> None:
     """Add a position actuator with the gains of the drive, or a motor."""
     limit = joint.limits.torque
     attributes = {"name": name, "joint": name}
@@ -247,3 +256,231 @@ def _pose(place: Array) -> dict[str, str]:
 
     x, y, z, w = Rotation.from_matrix(place[:3, :3]).as_quat()
     return {"pos": vector(place[:3, 3]), "quat": vector([w, x, y, z])}
+
+
+TIMESTEP = 0.002  # s, MuJoCo's default
+ACTUATORS = frozenset(
+    ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle",
+     "adhesion")
+)  # fmt: skip
+WHOLE = {"inertiafromgeom": "true", "balanceinertia": "true"}  # settings that change inertials
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """An element, the file that it is in, the class that its children inherit, and its body."""
+
+    element: Element
+    file: str
+    inherited: str
+    body: Element | None
+
+    def get(self, name: str, default: str = "") -> str:
+        """Return an attribute of the element itself."""
+        return self.element.attributes.get(name, default)
+
+
+class CannotEdit(ExportError):
+    """The model is not one that can be edited in place; the message says why."""
+
+
+def edited_mjcf(
+    fit: Fit, source: RobotSource, friction: Sequence[LinearFriction]
+) -> tuple[dict[str, str], list[str]]:
+    """Return the files of the user's model with the numbers of a fit, and notes.
+
+    Raises `CannotEdit`: bodies without names, or settings by which MuJoCo changes inertials.
+    """
+    model = _Model(source)
+    notes: list[str] = []
+    bodies = fit.link_parameters.reshape(-1, 10)
+    for j, joint in enumerate(fit.model.robot.joints):
+        body, carried = source.carried[j]
+        shared = split(bodies[j], [RigidMember("branches", np.eye(4), np.array(carried))])
+        notes += model.write_inertials(body, shared.own, shared.share)
+        law, passive = actuator_law(fit, j), passive_torques(fit, j, friction[j])
+        passive, law = for_steps(passive, law, model.timestep, model.integrator)
+        moved = model.write_joint(body, joint.name, passive)
+        notes += model.write_actuator(moved, joint.name, law)
+    if not np.allclose(model.gravity, fit.model.robot.gravity, atol=1e-9):
+        x, y, z = fit.model.robot.gravity
+        notes.append(f"gravity is not changed; the fit is for ({x:g}, {y:g}, {z:g}) m/s²")
+    return {name: text.edited() for name, text in model.texts.items()}, notes
+
+
+class _Model:
+    """The files of a model, and edits of its elements."""
+
+    def __init__(self, source: RobotSource) -> None:
+        self._links = {body for body, _ in source.carried}
+        names = [PurePosixPath(name) for name, _ in source.files]
+        if any(name.is_absolute() or ".." in name.parts for name in names):
+            raise CannotEdit("it includes files outside of its folder")
+        self.texts = {name: XmlText(text) for name, text in source.files}
+        self._main = source.files[0][0]
+        root = self.texts[self._main].root
+        self._places = list(self._walk(root, self._main, "", None))
+        self._classes = self._default_classes()
+        compiler = [p for p in self._places if p.element.tag == "compiler"]
+        for place in compiler:
+            for name, value in WHOLE.items():
+                if place.get(name) == value:
+                    raise CannotEdit(f'of {name}="{value}"')
+            if float(place.get("settotalmass", "-1")) > 0.0:
+                raise CannotEdit("of settotalmass")
+        self._degrees = not any(place.get("angle") == "radian" for place in compiler)
+        options = [p for p in self._places if p.element.tag == "option"]
+        self.timestep = float(self._last(options, "timestep", str(TIMESTEP)))
+        self.integrator = self._last(options, "integrator", "Euler")
+        self.gravity = [float(x) for x in self._last(options, "gravity", "0 0 -9.81").split()]
+
+    def _last(self, places: Sequence[_Place], name: str, default: str) -> str:
+        return next((p.get(name) for p in reversed(places) if p.get(name)), default)
+
+    def _walk(
+        self, parent: Element, file: str, inherited: str, body: Element | None
+    ) -> Iterator[_Place]:
+        """Yield the elements of a model in its order, with those of included files."""
+        for child in parent.children:
+            if child.tag == "include":
+                name = str(PurePosixPath(child.attributes.get("file", "")))
+                if name not in self.texts:
+                    raise CannotEdit(f"the included file {name} is missing")
+                yield from self._walk(self.texts[name].root, name, inherited, body)
+                continue
+            yield _Place(child, file, inherited, body)
+            within = child if child.tag == "body" else body
+            below = child.attributes.get("childclass", inherited)
+            yield from self._walk(child, file, below, within)
+
+    def _default_classes(self) -> dict[str, dict[str, dict[str, str]]]:
+        """Return the attributes of each class by class and tag; actuators have one tag."""
+        found: dict[str, dict[str, dict[str, str]]] = {}
+
+        def read(element: Element, above: Mapping[str, Mapping[str, str]], name: str) -> None:
+            own = {tag: dict(values) for tag, values in above.items()}
+            for child in element.children:
+                if child.tag != "default":
+                    tag = "actuator" if child.tag in ACTUATORS else child.tag
+                    own.setdefault(tag, {}).update(child.attributes)
+            found[name] = own
+            for child in element.children:
+                if child.tag == "default":
+                    read(child, own, child.attributes.get("class", ""))
+
+        for text in self.texts.values():
+            for child in text.root.children:
+                if child.tag == "default":
+                    read(child, found.get("main", {}), "main")
+                    found[child.attributes.get("class", "main")] = found["main"]
+        return found
+
+    def _stated(self, place: _Place, name: str, tag: str) -> str | None:
+        """Return an attribute of an element, by its class if not its own; None if not stated."""
+        own = place.element.attributes
+        kind = own.get("class") or place.inherited or "main"
+        return own.get(name, self._classes.get(kind, {}).get(tag, {}).get(name))
+
+    def _set(self, place: _Place, tag: str, values: Mapping[str, Sequence[float] | float]) -> None:
+        """Write numbers where they differ from those stated; what is not stated is zero."""
+        new: dict[str, str | None] = {}
+        for name, value in values.items():
+            wanted = np.atleast_1d(value)
+            stated = [float(x) for x in (self._stated(place, name, tag) or "0").split()]
+            stated += [0.0] * (len(wanted) - len(stated))
+            hidden = name == "kv" and self._stated(place, "dampratio", tag) is not None
+            if (
+                hidden
+                or len(stated) != len(wanted)
+                or not np.allclose(stated, wanted, rtol=1e-12, atol=0.0)
+            ):
+                new[name] = str(int(wanted[0])) if name == "nsample" else vector(wanted)
+        if "kv" in new and "dampratio" in place.element.attributes:
+            new["dampratio"] = None  # MuJoCo allows one of the two
+        if new:
+            self.texts[place.file].set_attributes(place.element, new)
+
+    def _body(self, name: str) -> _Place:
+        found = [p for p in self._places if p.element.tag == "body" and p.get("name") == name]
+        if len(found) != 1 or not name:
+            raise CannotEdit(f"its files have no body {name!r}; give the links' bodies names")
+        return found[0]
+
+    def write_inertials(self, body: str, own: Array, share: float) -> list[str]:
+        """Write the inertial of a body, and scale those of what moves rigidly with it."""
+        place = self._body(body)
+        text = "".join(f' {name}="{value}"' for name, value in inertial(own).items())
+        self.texts[place.file].replace_child(place.element, "inertial", f"<inertial{text}/>")
+        if share == 1.0:
+            return []
+        for below in self._carried(place.element):
+            stated = below.element.find("inertial")
+            if stated is None:
+                raise CannotEdit(
+                    f"bodies on {body} without inertials weigh more than what was identified"
+                )
+            scaled: dict[str, str | None] = {
+                name: " ".join(number(share * float(x)) for x in stated.attributes[name].split())
+                for name in ("mass", "diaginertia", "fullinertia")
+                if name in stated.attributes
+            }
+            self.texts[below.file].set_attributes(stated, scaled)
+        return [f"{body}: the masses of bodies attached to it were scaled by {share:.3g}"]
+
+    def _carried(self, body: Element) -> Iterator[_Place]:
+        """Yield the bodies behind a body that are not links of the arm."""
+        behind = [body]
+        for place in self._places:
+            own = place.element
+            if (
+                own.tag == "body"
+                and any(place.body is b for b in behind)
+                and place.get("name") not in self._links
+            ):
+                behind.append(own)
+                yield place
+
+    def write_joint(self, body: str, name: str, passive: PassiveTorques) -> _Place:
+        """Write armature, damping, friction loss, and where wanted the spring of a joint."""
+        element = self._body(body).element
+        own = [p for p in self._places if p.element.tag == "joint" and p.body is element]
+        named = [p for p in own if p.get("name") == name]
+        if not own:
+            raise CannotEdit(f"body {body!r} has no joint of its own")
+        place = (named or own)[0]
+        values = {
+            key: value
+            for key, value in vars(passive).items()
+            if value is not None
+            and not (key.startswith("sol") and self._stated(place, key, "joint"))  # the user's own
+        }
+        sliding = self._stated(place, "type", "joint") == "slide"
+        if "springref" in values and self._degrees and not sliding:
+            values["springref"] = math.degrees(values["springref"])
+        self._set(place, "joint", values)
+        return place
+
+    def write_actuator(self, joint: _Place, name: str, law: ActuatorLaw | None) -> list[str]:
+        """Write the gains and ranges of a joint's actuator; return a note if there is none."""
+        if law is None:  # torques, which nothing limits anew
+            return []
+        moving = [
+            p
+            for p in self._places
+            if p.element.tag in ACTUATORS and p.get("joint") == joint.get("name", name)
+        ]
+        if len(moving) != 1 or moving[0].element.tag not in ("position", "general"):
+            tags = ", ".join(p.element.tag for p in moving) or "none"
+            return [f"joint {name}: its actuator ({tags}) is not a position servo and was kept"]
+        place = moving[0]
+        gear = abs(float((self._stated(place, "gear", "actuator") or "1").split()[0]))
+        stiffness, damping = law.stiffness / gear**2, law.damping / gear**2
+        values: dict[str, Sequence[float] | float] = {"kp": stiffness, "kv": damping}
+        if place.element.tag == "general":
+            values = {"gainprm": [stiffness], "biasprm": [0.0, -stiffness, -damping]}
+        if math.isfinite(law.force):
+            values["forcerange"] = [-law.force / gear, law.force / gear]
+        if law.delay > 0.0:
+            values |= {"delay": law.delay, "nsample": math.ceil(law.delay / self.timestep) + 1}
+        self._set(place, "actuator", values)
+        return []

@@ -20,8 +20,7 @@ from lieid_casadi.errors import FleetError, RobotError
 from lieid_casadi.fleet.recordings import is_local
 from lieid_casadi.robot import yaml_text
 from lieid_casadi.robot.description import BUNDLED
-from lieid_casadi.robot.geometry import pose
-from lieid_casadi.robot.inertia import link_parameters
+from lieid_casadi.robot.inertia import link_parameters, pose
 from lieid_casadi.robot.yaml_file import read_inertia
 
 T = TypeVar("T")

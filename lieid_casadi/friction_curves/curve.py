@@ -7,13 +7,13 @@ similar speed and load.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from lieid_casadi import errors
+from lieid_casadi import errors, plot_style
 from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.compiled import compile
 from lieid_casadi.identification.fit import Fit
@@ -97,7 +97,7 @@ class FrictionCurve:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw friction over speed, coloured by load, and return the figure."""
-        from lieid_casadi.friction_curves.plots import plot_friction
+        from lieid_casadi.friction_curves.curve import plot_friction
 
         title = f"joint {self.joint + 1} {self.joint_name}: half of forward − backward torque"
         return plot_friction(self.points, self.unit, title, ax=ax)
@@ -409,3 +409,38 @@ def _batches(member: Indices, stretch: Indices) -> tuple[Indices, Indices]:
         np.column_stack([run, within]), axis=0, return_index=True, return_inverse=True
     )
     return np.ravel(batch).astype(np.intp), member[index]
+
+
+COLOURS = "viridis"
+LINES = 3
+
+
+def plot_friction(
+    points: tuple[Array, Array, Array, Array],
+    unit: str,
+    title: str,
+    *,
+    model: Callable[[Array, float], Array] | None = None,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw speeds, friction, standard errors and loads (G,) as points; return the figure."""
+    speed, friction, std, load = points
+    figure, ax = plot_style.drawing(ax, 7.0, 4.2)
+    plot_style.style(ax)
+    ax.errorbar(speed, friction, std, fmt="none", ecolor=plot_style.MEASURED, zorder=2)
+    cloud = ax.scatter(speed, friction, c=load, cmap=COLOURS, s=16, zorder=3, vmin=0.0)
+    bar = figure.colorbar(cloud, ax=ax)
+    bar.set_label(f"|τ_load| [{unit}]", fontsize=plot_style.SMALL)
+    bar.ax.tick_params(labelsize=plot_style.SMALL)
+    if model is not None:
+        drawn = np.geomspace(speed.min(), speed.max(), 200)
+        for each in np.linspace(load.min(), load.max(), LINES):
+            ax.plot(drawn, model(drawn, each), color=cloud.to_rgba(each), linewidth=1.2)
+    plot_style.title(ax, title)
+    speed_unit = "rad/s" if unit == "N·m" else "m/s"
+    plot_style.label(ax, x=f"|q̇| [{speed_unit}]", y=f"friction [{unit}]")
+    ax.autoscale(True)
+    ax.set_xlim(left=0.0)
+    if friction.min() > 0.0:
+        ax.set_ylim(bottom=0.0)
+    return figure

@@ -163,7 +163,7 @@ class FrictionFit:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the curve and the model at low and high load and return the figure."""
-        from lieid_casadi.friction_curves.plots import plot_friction
+        from lieid_casadi.friction_curves.curve import plot_friction
 
         curve = self.curve
         title = f"joint {curve.joint + 1} {curve.joint_name}: RMS {self.rms:.3g} {curve.unit}"

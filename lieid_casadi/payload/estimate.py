@@ -1,4 +1,8 @@
-"""Result: payload at the tool, its uncertainty, and the quantities that cannot be identified."""
+"""Result: payload at the tool, its uncertainty, and the quantities that cannot be identified.
+
+Mass, centre of mass and central inertia follow from the parameters m, m·c (3), Ixx, Ixy, Iyy, Ixz,
+Iyz, Izz about the origin of the tool frame.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +11,53 @@ from typing import Any
 
 import numpy as np
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
-from lieid_casadi.payload.body import NAMES, UNITS
 from lieid_casadi.plot_style import Axes, Figure, drawing
+from lieid_casadi.robot.inertia import body_inertia
 from lieid_casadi.tables import Table, figures, html, make_table, with_std
+
+NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+UNITS = ("kg", "m", "m", "m", *("kg·m²",) * 6)
+SCALE = np.array([1.0, *(0.1,) * 3, *(0.01,) * 6])  # typical sizes of parameters, for scaling
+_ENTRIES = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+
+
+def physical_quantities(parameters: Array) -> Array:
+    """Return mass, centre of mass (3) and inertia about it (6) as one array (10,)."""
+    body = body_inertia(parameters)
+    return np.array([body.mass, *body.com, *(body.inertia[i, j] for i, j in _ENTRIES)])
+
+
+def physical_jacobian(parameters: Array) -> Array:
+    """Return the Jacobian (10, 10) of `physical_quantities` at parameters with non-zero mass."""
+    m, moment = float(parameters[0]), parameters[1:4]
+    jacobian = np.zeros((10, 10))
+    jacobian[0, 0] = 1.0
+    jacobian[1:4, 0] = -moment / m**2
+    jacobian[1:4, 1:4] = np.eye(3) / m
+    square = moment @ moment * np.eye(3) - np.outer(moment, moment)
+    for row, (i, j) in enumerate(_ENTRIES, start=4):
+        jacobian[row, row] = 1.0
+        jacobian[row, 0] = square[i, j] / m**2
+        for k in range(3):
+            # derivative of |mc|²·1 − mc·mcᵀ
+            change = 2.0 * moment[k] * (i == j) - (i == k) * moment[j] - (j == k) * moment[i]
+            jacobian[row, 1 + k] = -change / m
+    return jacobian
+
+
+#: Parameters (columns) that each physical quantity (rows) depends on: those of a general body
+DEPENDS_ON: Mask = physical_jacobian(np.arange(1.0, 11.0)) != 0.0
+
+
+def identifiable_quantities(hidden: Array) -> Mask:
+    """Mark the physical quantities (10,) that can be identified from the data."""
+    hidden_parameters = np.abs(hidden).max(axis=0, initial=0.0) > 1e-6
+    return np.asarray(~np.any(DEPENDS_ON & hidden_parameters, axis=1))
+
 
 NORMAL = 1.959963984540054  # standard deviations on either side of a 95 % interval
 INSIGNIFICANT = 3.0  # a mass below that many standard deviations is not significant

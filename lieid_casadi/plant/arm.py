@@ -1,4 +1,4 @@
-"""The simulated arm: its true parameters, friction and hidden effects."""
+"""The simulated arm: its true parameters, friction and hidden effects, and their torques."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from lieid_casadi.plant.effects import (
     BaseTilt,
     ExternalWrench,
     HiddenEffect,
+    JointEffect,
     JointElasticity,
+    JointState,
     Payload,
+    Presliding,
 )
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.inertia import body_inertia, link_parameters, parameter_transport
-from lieid_casadi.robot.pinocchio_model import build_pinocchio
+from lieid_casadi.robot.pinocchio_model import TOOL_FRAME, build_pinocchio
 
 E = TypeVar("E", bound=HiddenEffect)
 
@@ -173,3 +176,73 @@ def _perturbed(link: Array, spread: float, random: np.random.Generator) -> Array
     moments = moments * mass_factor * (1.0 + spread * stretch)
     sigma = axes @ np.diag(moments) @ axes.T
     return link_parameters(body.mass * mass_factor, com, np.trace(sigma) * np.eye(3) - sigma)
+
+
+def rigid_torques(model: Any, q: Array, dq: Array, ddq: Array) -> Array:
+    """Return the rigid torques (N, n) of a ``pinocchio.Model`` along a path (N, n), N·m."""
+    import pinocchio as pin
+
+    tau: Array = pin.rneaInParallel(1, pin.ModelPool(model, 1), q.T, dq.T, ddq.T).T
+    return tau
+
+
+def wrench_torque(model: Any, data: Any, q: Array, wrench: Array) -> Array:
+    """Return Jᵀ·F (n,) of a wrench [m; f] (6,) that the tool exerts at its origin, base axes."""
+    import pinocchio as pin
+
+    frame = model.getFrameId(TOOL_FRAME)
+    jacobian = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
+    torque: Array = jacobian.T @ np.concatenate([wrench[3:], wrench[:3]])
+    return torque
+
+
+class Drive:
+    """Friction and effects of an arm, prepared for many evaluations.
+
+    Arrays are (n,) at one instant or (N, n) along a path. Only effects that define a term are
+    evaluated for it.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        effects = [e for e in arm.effects if isinstance(e, JointEffect)]
+        self._friction = arm.friction
+        terms = ("level", "level_slope", "level_scale", "viscous", "viscous_scale", "torque")
+        self._defining = {term: [e for e in effects if hasattr(e, term)] for term in terms}
+        self.hysteresis_width = np.zeros(arm.n)
+        for effect in arm.effects_of(Presliding):
+            self.hysteresis_width[effect.joint] = effect.width
+        self.hysteretic = self.hysteresis_width > 0.0
+
+    def _with(self, values: Array, s: JointState, term: str, scale: str = "") -> Array:
+        """Return values (…, n) with what effects add to their joints, times their scales."""
+        found = np.broadcast_to(values, s.dq.shape).copy()
+        for effect in self._defining[term] if term else ():
+            found[..., effect.joint] += getattr(effect, term)(s)
+        for effect in self._defining[scale] if scale else ():
+            found[..., effect.joint] *= getattr(effect, scale)(s)
+        return found
+
+    def level(self, s: JointState) -> Array:
+        """Level of dry friction (…, n) ≥ 0, N·m."""
+        return np.maximum(self._with(self._friction.coulomb, s, "level", "level_scale"), 0.0)
+
+    def level_slope(self, s: JointState) -> Array | None:
+        """Derivative of the level by the load (…, n); None if it is zero everywhere."""
+        if not self._defining["level_slope"]:
+            return None
+        return self._with(np.zeros(()), s, "level_slope", "level_scale")
+
+    def damping(self, s: JointState) -> Array:
+        """Linear viscous coefficient (…, n), N·m·s/rad."""
+        return self._with(self._friction.viscous, s, "", "viscous_scale")
+
+    def smooth(self, s: JointState) -> Array:
+        """All torques except those of the rigid arm, armature and dry friction (…, n), N·m."""
+        friction = self._with(self._friction.viscous * s.dq, s, "viscous", "viscous_scale")
+        return self._with(friction + self._friction.offset, s, "torque")
+
+    def next_hysteresis(self, z: Array, step: Array) -> Array:
+        """Dahl's state (n,), −1…1, after the motor moved by ``step`` (n,); exact for any step."""
+        direction = np.sign(step)
+        left = np.exp(-np.abs(step) / np.where(self.hysteretic, self.hysteresis_width, 1.0))
+        return np.where(self.hysteretic, direction + (z - direction) * left, 0.0)

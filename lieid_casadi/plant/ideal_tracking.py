@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.plant.arm import Arm
-from lieid_casadi.plant.drive import Drive
+from lieid_casadi.plant.arm import Arm, Drive, rigid_torques, wrench_torque
 from lieid_casadi.plant.effects import JointState
-from lieid_casadi.plant.rigid import rigid_torques, wrench_torque
 
 AT_REST = 1e-7  # rad/s; a filtered path has rounding errors at rest
 

@@ -12,7 +12,7 @@ from lieid_casadi.errors import EffectError
 from lieid_casadi.plant.arm import Arm, JointFriction
 from lieid_casadi.plant.effects import Armature
 from lieid_casadi.plant.sensors import Sensors, measure
-from lieid_casadi.plant.stepper import DriveCommand, Stepper, motion_of
+from lieid_casadi.plant.simulate import DriveCommand, Stepper, motion_of
 from lieid_casadi.plant.trajectories import ReferenceTrajectory
 from lieid_casadi.recording import Recording
 

@@ -17,19 +17,19 @@ from lieid_casadi.messages import joints_text
 from lieid_casadi.model import Model
 from lieid_casadi.premises import joints, match, mounting, samples, timing, torque_signal
 from lieid_casadi.premises.correction import Correction
-from lieid_casadi.premises.findings import Finding, PremiseCheck
-from lieid_casadi.premises.joints import ALIKE
-from lieid_casadi.premises.plain_fit import Samples, samples_of
-from lieid_casadi.premises.remedies import (
+from lieid_casadi.premises.findings import (
     SHOWS,
+    Finding,
+    PremiseCheck,
     Wrong,
     findings_of,
     mean_ratio,
     most_shown,
     rounded,
 )
-from lieid_casadi.premises.rigid_columns import RigidArm
-from lieid_casadi.premises.screen import Alternative, Errors, Screen
+from lieid_casadi.premises.joints import ALIKE
+from lieid_casadi.premises.plain_fit import Samples, samples_of
+from lieid_casadi.premises.screen import Alternative, Errors, RigidArm, Screen
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.conversion import is_torque_of_laws
 from lieid_casadi.recording.recording import listed

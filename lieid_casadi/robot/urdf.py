@@ -22,8 +22,7 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.messages import reason_of
 from lieid_casadi.robot.description import MOST_JOINTS, Joint, RobotDescription, RobotSource
-from lieid_casadi.robot.geometry import pose
-from lieid_casadi.robot.inertia import impossible_moments
+from lieid_casadi.robot.inertia import impossible_moments, pose
 from lieid_casadi.robot.urdf_elements import INERTIA, UrdfJoint, UrdfLink, read_elements
 
 WIDE = "1e6"  # for limits that Pinocchio requires; the stated limits are read separately

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot.description import NOT_STATED, Limits
-from lieid_casadi.robot.geometry import pose
-from lieid_casadi.robot.inertia import link_parameters, symmetric
+from lieid_casadi.robot.inertia import link_parameters, pose, symmetric
 
 Array = NDArray[np.float64]
 Element = ElementTree.Element

@@ -49,8 +49,14 @@ from lieid_casadi.robot.description import (
     RobotSource,
 )
 from lieid_casadi.robot.drive import Drive, servo_drive
-from lieid_casadi.robot.geometry import pose, roll_pitch_yaw
-from lieid_casadi.robot.inertia import body_inertia, impossible_moments, link_parameters, symmetric
+from lieid_casadi.robot.inertia import (
+    body_inertia,
+    impossible_moments,
+    link_parameters,
+    pose,
+    roll_pitch_yaw,
+    symmetric,
+)
 from lieid_casadi.robot.yaml_text import FARTHEST, Field
 
 # Accepts seven printed digits of a unit vector, but no wrong axis.

@@ -21,8 +21,7 @@ from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.model_functions import SparseFunction
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.simulation.play import Coordinates, plays_of
-from lieid_casadi.simulation.step import initial_state, step_function
+from lieid_casadi.simulation.step import Coordinates, initial_state, plays_of, step_function
 
 Input = Literal["command", "torque"]
 Indices = NDArray[np.intp]

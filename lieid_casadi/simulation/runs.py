@@ -18,7 +18,7 @@ from lieid_casadi.identification.recording_checks import check_joints
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.recording import Processed, Processing, Recording, process
 from lieid_casadi.simulation.integration import STEP, Indices, Input, delays_of, integrate
-from lieid_casadi.simulation.play import Coordinates
+from lieid_casadi.simulation.step import Coordinates
 
 
 def with_torque_of_drives(fit: Fit, segment: Processed) -> Processed:

@@ -27,7 +27,6 @@ from lieid_casadi.plot_style import Axes, Figure, drawing
 from lieid_casadi.recording import Recording
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.simulation.integration import Batch, Input, integrate_batch
-from lieid_casadi.simulation.play import LARGEST, Coordinates, plays_of
 from lieid_casadi.simulation.runs import (
     Run,
     input_of,
@@ -36,6 +35,7 @@ from lieid_casadi.simulation.runs import (
     runs_of,
     window_errors,
 )
+from lieid_casadi.simulation.step import LARGEST, Coordinates, plays_of
 from lieid_casadi.tables import Table, html, make_table
 
 

@@ -14,7 +14,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.excitation.limits import link_poses
 from lieid_casadi.excitation.links import UrdfModel, capsules_of, package_folders
-from lieid_casadi.expressions.frames import homogeneous
+from lieid_casadi.expressions.symbolic import homogeneous
 from lieid_casadi.robot import Robot
 
 FRAMES_PER_SECOND = 20.0

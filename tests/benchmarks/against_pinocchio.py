@@ -26,7 +26,7 @@ from rich.table import Table  # noqa: E402
 
 import lieid_casadi as lieid  # noqa: E402
 from lieid_casadi.exporters.export import export  # noqa: E402
-from lieid_casadi.robot.geometry import relative  # noqa: E402
+from lieid_casadi.robot.inertia import relative  # noqa: E402
 
 FLAGS = ("-O3", "-DNDEBUG")
 DEFINITIONS = (  # those of Pinocchio's CMake targets

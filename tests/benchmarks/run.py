@@ -28,8 +28,8 @@ from timing import peak_operations, several  # noqa: E402
 
 import lieid_casadi as lieid  # noqa: E402
 from lieid_casadi.codegen_files import codegen_folder  # noqa: E402
-from lieid_casadi.compiled.compiler import available_targets, build, find_compiler  # noqa: E402
 from lieid_casadi.compiled.kernel_source import kernel_source  # noqa: E402
+from lieid_casadi.compiled.kernels import available_targets, build, find_compiler  # noqa: E402
 
 FRICTION = "coulomb,viscous,offset,viscous_polynomial"  # five columns a joint
 BATCH = 20_000

@@ -11,7 +11,7 @@ from lieid_casadi import plant
 from lieid_casadi.comparison.comparison import verdict
 from lieid_casadi.comparison.plots import binned_mean
 from lieid_casadi.friction_curves import fit_friction, friction_curve
-from lieid_casadi.plant.rigid import rigid_torques
+from lieid_casadi.plant.arm import rigid_torques
 from lieid_casadi.recording import process
 from lieid_casadi.robot.inertia import link_parameters
 

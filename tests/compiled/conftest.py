@@ -4,7 +4,7 @@ import pytest
 
 from lieid_casadi.compiled import cache as disk
 from lieid_casadi.compiled import kernels
-from lieid_casadi.compiled.compiler import find_compiler
+from lieid_casadi.compiled.kernels import find_compiler
 from lieid_casadi.errors import CompilerError
 
 

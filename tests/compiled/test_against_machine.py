@@ -12,8 +12,8 @@ import lieid_casadi as lieid
 from lieid_casadi.codegen_files import codegen_folder
 from lieid_casadi.compiled import compile
 from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation, MachineEvaluation
-from lieid_casadi.compiled.compiler import FLAGS, TARGETS, available_targets
 from lieid_casadi.compiled.kernel_source import kernel_source
+from lieid_casadi.compiled.kernels import FLAGS, TARGETS, available_targets
 from lieid_casadi.effects import Coefficient, Effect
 from lieid_casadi.expressions.model_functions import ModelFunctions
 

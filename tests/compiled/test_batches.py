@@ -5,7 +5,7 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.compiled.compiler import available_targets
+from lieid_casadi.compiled.kernels import available_targets
 from lieid_casadi.errors import CompilerError, ModelError
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.recording import process

@@ -12,9 +12,8 @@ import pytest
 
 import lieid_casadi as lieid
 from lieid_casadi.compiled import cache, compile, kernels
-from lieid_casadi.compiled import compiler as compiler_module
 from lieid_casadi.compiled.batch_evaluation import CompiledEvaluation, MachineEvaluation
-from lieid_casadi.compiled.compiler import available_targets, build, find_compiler
+from lieid_casadi.compiled.kernels import available_targets, build, find_compiler
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
@@ -236,7 +235,7 @@ def test_a_hanging_compiler_ends_with_its_children(fresh_process, monkeypatch, t
     child = tmp_path / "child"
     hanging = program(tmp_path / "cc", f"sleep 1000 & echo $! >> {child}; wait")
     monkeypatch.setenv("CC", hanging)
-    monkeypatch.setattr(compiler_module, "TIMEOUT", 0.5)
+    monkeypatch.setattr(kernels, "TIMEOUT", 0.5)
     check_fallback(caplog, "did not finish within 0.5 s")
     for number in child.read_text().split():
         for _ in range(100):

@@ -10,8 +10,7 @@ from robot.random_arms import random_arm, random_link, shift_to_axes, to_pinocch
 
 from lieid_casadi import Model, robots
 from lieid_casadi.dynamics import symbolic_lengths
-from lieid_casadi.dynamics.base_parameters import base_parameters
-from lieid_casadi.dynamics.null_space import EnergyColumn
+from lieid_casadi.dynamics.base_parameters import EnergyColumn, base_parameters
 from lieid_casadi.dynamics.symbolic_lengths import Polynomial, lengths_of, symbolic_base
 from lieid_casadi.errors import ModelError
 from lieid_casadi.robot import Joint, Robot

@@ -9,8 +9,7 @@ import lieid_casadi as lieid
 from lieid_casadi.cli.main import main
 from lieid_casadi.errors import ExportError
 from lieid_casadi.exporters.export import export
-from lieid_casadi.robot.geometry import pose
-from lieid_casadi.robot.inertia import link_parameters, parameter_transport
+from lieid_casadi.robot.inertia import link_parameters, parameter_transport, pose
 
 pxr = pytest.importorskip("pxr", reason="needs the extra usd")
 CENTIMETRE, GRAM = 0.01, 0.001

@@ -13,7 +13,7 @@ import lieid_casadi as lieid
 from lieid_casadi.effects import LIBRARY, ArmEffect, make
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions.symbolic import symbolic
-from lieid_casadi.robot.geometry import pose
+from lieid_casadi.robot.inertia import pose
 
 PANDA = dataclasses.replace(
     lieid.robots.panda().with_drives(lieid.Drive(stiffness=500.0)),

@@ -20,7 +20,7 @@ from lieid_casadi.errors import (
     NegativeMassWarning,
     SameRecordingWarning,
 )
-from lieid_casadi.payload.body import (
+from lieid_casadi.payload.estimate import (
     NAMES,
     identifiable_quantities,
     physical_jacobian,

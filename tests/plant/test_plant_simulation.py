@@ -25,7 +25,7 @@ from lieid_casadi.plant import (
     move_along,
     simulate,
 )
-from lieid_casadi.plant.stepper import DriveCommand, Stepper
+from lieid_casadi.plant.simulate import DriveCommand, Stepper
 
 H = 1e-3
 

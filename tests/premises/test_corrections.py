@@ -12,11 +12,10 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.errors import StatedMassWarning
 from lieid_casadi.premises.correction import base_rpy, correction_of, gravity_of
+from lieid_casadi.premises.findings import Wrong, findings_of
 from lieid_casadi.premises.plain_fit import samples_of
-from lieid_casadi.premises.remedies import Wrong, findings_of
-from lieid_casadi.premises.rigid_columns import RigidArm
-from lieid_casadi.premises.screen import Alternative
-from lieid_casadi.robot.geometry import pose
+from lieid_casadi.premises.screen import Alternative, RigidArm
+from lieid_casadi.robot.inertia import pose
 
 RANDOM = np.random.default_rng(3)
 OPTIONS = (

@@ -11,7 +11,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.exporters.mjcf import mjcf_text
 from lieid_casadi.robot.drive import Drive
-from lieid_casadi.simulation.play import plays_of
+from lieid_casadi.simulation.step import plays_of
 
 LAWS = [Drive(stiffness=120.0, damping=2.0), Drive(stiffness=50.0, damping=0.5)]
 ROBOT = lieid.robots.two_link().with_drives(LAWS)

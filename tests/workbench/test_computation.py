@@ -18,9 +18,9 @@ from lieid_casadi.comparison.comparison import error_table
 from lieid_casadi.errors import UsageError
 from lieid_casadi.tables import figures
 from lieid_casadi.workbench.arm import TRIANGLE, arm_meshes, stl_bytes
-from lieid_casadi.workbench.commands import shell_lines
 from lieid_casadi.workbench.computation import Computation
 from lieid_casadi.workbench.evaluation import difference_tables
+from lieid_casadi.workbench.page import shell_lines
 from lieid_casadi.workbench.session import (
     RecordingInput,
     Session,

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lieid_casadi.cli.main import build_parser
-from lieid_casadi.workbench.commands import shell_lines
 from lieid_casadi.workbench.open_panel import first_values
+from lieid_casadi.workbench.page import shell_lines
 from lieid_casadi.workbench.session import (
     ExcludedRange,
     RecordingInput,

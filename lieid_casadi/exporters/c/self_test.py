@@ -9,8 +9,13 @@ import casadi as ca
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.exporters.c.expressions import ExportExpressions, SampleSymbols
-from lieid_casadi.exporters.c.functions import RIGID_ARGUMENTS, SAMPLE_ARGUMENTS, WITHOUT_NUMBERS
+from lieid_casadi.exporters.c.functions import (
+    RIGID_ARGUMENTS,
+    SAMPLE_ARGUMENTS,
+    WITHOUT_NUMBERS,
+    ExportExpressions,
+    SampleSymbols,
+)
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.expressions.torque import Values
 from lieid_casadi.identification.fit import Fit
