@@ -97,8 +97,6 @@ class FrictionCurve:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw friction over speed, coloured by load, and return the figure."""
-        from lieid_casadi.friction_curves.curve import plot_friction
-
         title = f"joint {self.joint + 1} {self.joint_name}: half of forward − backward torque"
         return plot_friction(self.points, self.unit, title, ax=ax)
 

@@ -24,7 +24,7 @@ from lieid_casadi.errors import (
     UnidentifiableWarning,
     warning_list,
 )
-from lieid_casadi.friction_curves.curve import FrictionCurve, friction_curve
+from lieid_casadi.friction_curves.curve import FrictionCurve, friction_curve, plot_friction
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.regression.least_squares import Factor, solve
 from lieid_casadi.identification.regression.variable_projection import (
@@ -163,8 +163,6 @@ class FrictionFit:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the curve and the model at low and high load and return the figure."""
-        from lieid_casadi.friction_curves.curve import plot_friction
-
         curve = self.curve
         title = f"joint {curve.joint + 1} {curve.joint_name}: RMS {self.rms:.3g} {curve.unit}"
         if np.isfinite(self.correlation):
