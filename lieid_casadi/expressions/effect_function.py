@@ -197,30 +197,22 @@ def _step_by_step(
     return states
 
 
-def _if_else_zero(condition: Array, value: Array) -> Array:
-    return np.where(condition != 0.0, value, 0.0)
-
-
+#: Operations that CasADi and NumPy call by the same name.
+_SAME_NAMES = (
+    "add", "pow", "exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2",
+    "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "log1p", "expm1", "hypot",
+    "floor", "ceil", "fmod", "fabs", "sign", "copysign",
+)  # fmt: skip
 _OPERATIONS: dict[int, Callable[..., Any]] = {
+    **{getattr(ca, f"OP_{name.upper()}"): getattr(np, name) for name in _SAME_NAMES},
     ca.OP_ASSIGN: lambda x: x,
-    ca.OP_ADD: np.add,
     ca.OP_SUB: np.subtract,
     ca.OP_MUL: np.multiply,
     ca.OP_DIV: np.divide,
     ca.OP_NEG: np.negative,
-    ca.OP_EXP: np.exp,
-    ca.OP_LOG: np.log,
-    ca.OP_POW: np.power,
     ca.OP_CONSTPOW: np.power,
-    ca.OP_SQRT: np.sqrt,
     ca.OP_SQ: np.square,
     ca.OP_TWICE: lambda x: 2.0 * x,
-    ca.OP_SIN: np.sin,
-    ca.OP_COS: np.cos,
-    ca.OP_TAN: np.tan,
-    ca.OP_ASIN: np.arcsin,
-    ca.OP_ACOS: np.arccos,
-    ca.OP_ATAN: np.arctan,
     ca.OP_LT: lambda x, y: np.less(x, y).astype(float),
     ca.OP_LE: lambda x, y: np.less_equal(x, y).astype(float),
     ca.OP_EQ: lambda x, y: np.equal(x, y).astype(float),
@@ -228,27 +220,11 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_NOT: lambda x: np.equal(x, 0.0).astype(float),
     ca.OP_AND: lambda x, y: np.logical_and(x, y).astype(float),
     ca.OP_OR: lambda x, y: np.logical_or(x, y).astype(float),
-    ca.OP_FLOOR: np.floor,
-    ca.OP_CEIL: np.ceil,
-    ca.OP_FMOD: np.fmod,
-    ca.OP_FABS: np.abs,
-    ca.OP_SIGN: np.sign,
-    ca.OP_COPYSIGN: np.copysign,
-    ca.OP_IF_ELSE_ZERO: _if_else_zero,
+    ca.OP_IF_ELSE_ZERO: lambda condition, value: np.where(condition != 0.0, value, 0.0),
     ca.OP_ERF: erf,
     ca.OP_FMIN: np.minimum,
     ca.OP_FMAX: np.maximum,
     ca.OP_INV: np.reciprocal,
-    ca.OP_SINH: np.sinh,
-    ca.OP_COSH: np.cosh,
-    ca.OP_TANH: np.tanh,
-    ca.OP_ASINH: np.arcsinh,
-    ca.OP_ACOSH: np.arccosh,
-    ca.OP_ATANH: np.arctanh,
-    ca.OP_ATAN2: np.arctan2,
-    ca.OP_LOG1P: np.log1p,
-    ca.OP_EXPM1: np.expm1,
-    ca.OP_HYPOT: np.hypot,
 }
 
 
