@@ -272,15 +272,11 @@ def fall_sentence(
     if not np.any(np.isfinite(falls)):
         return ""
     lower = np.nan_to_num(falls) > FALLS
-    size = (
-        [f"{value:.0f}" for value in (falls[lower].min(), falls[lower].max())]
-        if lower.any()
-        else []
-    )
-    whose = "" if np.all(lower | np.isnan(falls)) else f" of {joints_text(lower)}"
-    text = f"error{whose} falls by {' to '.join(dict.fromkeys(size))} %"
-    if not lower.any():
-        text = f"error falls by {np.nanmax(falls):z.0f} % at most"
+    text = f"error falls by {np.nanmax(falls):z.0f} % at most"
+    if lower.any():
+        size = [f"{value:.0f}" for value in (falls[lower].min(), falls[lower].max())]
+        whose = "" if np.all(lower | np.isnan(falls)) else f" of {joints_text(lower)}"
+        text = f"error{whose} falls by {' to '.join(dict.fromkeys(size))} %"
     if np.nanmin(falls) < -RISES:
         text += f", that of {joints_text(falls < -RISES)} rises by up to {-np.nanmin(falls):.0f} %"
     worst = int(np.argmax(ratio))

@@ -40,25 +40,13 @@ def _projected(robot: Robot, motion: Motion, bodies: Sequence[LinkAcceleration])
     twists: list[ca.SX] = []
     for i, (g, xi) in enumerate(zip(relative_poses(robot, motion), axes(robot), strict=True)):
         twists = [inverse_adjoint_times(g, twist) for twist in twists] + [xi]
-        wrench = _LinkWrench(bodies[i])
+        acceleration, gradient = bodies[i].acceleration, bodies[i].gradient
+        rotating = inertia_moments(bodies[i])
         for j, twist in enumerate(twists):
-            blocks[j, 10 * i : 10 * i + 10] = wrench.along(twist)
+            z, v = twist[:3], twist[3:]
+            blocks[j, 10 * i : 10 * i + 10] = ca.horzcat(
+                ca.mtimes(v.T, acceleration),
+                (ca.mtimes(gradient.T, v) + cross(acceleration, z)).T,
+                ca.mtimes(z.T, rotating),
+            )
     return blocks
-
-
-class _LinkWrench:
-    """The wrench of one link per parameter, split so that a projection costs few products."""
-
-    def __init__(self, body: LinkAcceleration) -> None:
-        self.acceleration = body.acceleration
-        self.gradient = body.gradient
-        self.rotating = inertia_moments(body)
-
-    def along(self, twist: ca.SX) -> ca.SX:
-        """Return zᵀ·W (1, 10)."""
-        z, v = twist[:3], twist[3:]
-        return ca.horzcat(
-            ca.mtimes(v.T, self.acceleration),
-            (ca.mtimes(self.gradient.T, v) + cross(self.acceleration, z)).T,
-            ca.mtimes(z.T, self.rotating),
-        )

@@ -26,7 +26,7 @@ def alternatives(screen: Screen) -> Iterator[Alternative]:
     none = Correction.none(screen.n)
 
     def scored(directions: list[Array]) -> list[tuple[float, Array]]:
-        scores = screen.scores([turned(none, size * d) for d in directions])
+        scores = screen.scores([replace(none, gravity=size * d) for d in directions])
         return list(zip(scores.tolist(), directions, strict=True))
 
     grid = [d for d in _directions() if np.linalg.norm(size * d - screen.gravity) > 0.1 * size]
@@ -59,16 +59,11 @@ def alternatives(screen: Screen) -> Iterator[Alternative]:
             "base_rpy": [round(x, 4) for x in rpy],
         },
         what.format(_words(rpy, float(turn))),
-        turned(none, gravity),
+        replace(none, gravity=gravity),
         cost=0.5,
         small=bool(turn < SMALL_TURN),
         again=what.format("otherwise than stated"),
     )
-
-
-def turned(correction: Correction, gravity: Array) -> Correction:
-    """Return a correction with gravity (3,) in the base frame."""
-    return replace(correction, gravity=gravity)
 
 
 def _directions() -> list[Array]:

@@ -240,7 +240,7 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
     times = filtering.uniform_time(t, rate)
     rate = (times.size - 1) / float(t[-1] - t[0])
     step = max(1, int(rate / max(GRID_OVER_CUTOFF * cutoff, LEAST_GRID)))
-    motion = _motion_at(fresh, times, cutoff)
+    q, dq, ddq, moving, dead_zone = _motion_at(fresh, times, cutoff)
     tau = None if fresh.tau is None else filtering.straight_at(t, fresh.tau, times)
 
     def straight(values: Array | None) -> Array | None:
@@ -250,9 +250,9 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
 
     made = Processed(
         t=read_only(times[::step]),
-        q=read_only(motion.q[::step]),
-        dq=read_only(motion.dq[::step]),
-        ddq=read_only(motion.ddq[::step]),
+        q=read_only(q[::step]),
+        dq=read_only(dq[::step]),
+        ddq=read_only(ddq[::step]),
         tau=None if tau is None else read_only(filtering.decimate(tau, rate, step)),
         temperature=straight(fresh.temperature),
         command=straight(fresh.command),
@@ -260,8 +260,8 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
         recording=segment,
         rate=rate / step,
         cutoff=cutoff,
-        dead_zone=read_only(motion.dead_zone),
-        moving=motion.moving[::step],
+        dead_zone=read_only(dead_zone),
+        moving=moving[::step],
         options=options,
         warnings=() if repeated is None else (repeated,),
     )
@@ -283,19 +283,13 @@ def _protected(segment: Processed) -> Iterator[LieidWarning]:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class _Motion:
-    """Low-passed motion of one segment, (K, n) each; see `Processed`."""
+def _motion_at(
+    part: Recording, times: Array, cutoff: float
+) -> tuple[Array, Array, Array, Mask, Array]:
+    """Return q, dq, ddq, moving (K, n) and the dead zone (n,) of a segment, as in `Processed`.
 
-    q: Array
-    dq: Array
-    ddq: Array
-    moving: Mask
-    dead_zone: Array  # (n,)
-
-
-def _motion_at(part: Recording, times: Array, cutoff: float) -> _Motion:
-    """Return the motion of a segment at uniform times (K,), s, for a cut-off of the columns, Hz."""
+    At uniform times (K,), s, for a cut-off of the columns, Hz.
+    """
     rate = (times.size - 1) / float(times[-1] - times[0])
     band = max(MOTION_BAND * cutoff, LEAST_BAND)
     q = filtering.smooth_at(part.t, part.q, times)
@@ -330,9 +324,8 @@ def _motion_at(part: Recording, times: Array, cutoff: float) -> _Motion:
     else:
         ddq = filtering.central_difference(filtering.lowpass(for_acceleration, rate, band), rate)
     moving = _moving(dq, dead_zone, rate)
-    return _Motion(
-        filtering.lowpass(q, rate, band), np.where(moving, dq, 0.0), ddq, moving, dead_zone
-    )
+    q = filtering.lowpass(q, rate, band)
+    return q, np.where(moving, dq, 0.0), ddq, moving, dead_zone
 
 
 def _moving(dq: Array, dead_zone: Array, rate: float) -> Mask:

@@ -153,22 +153,6 @@ def clip(x: Any, lower: Any, upper: Any) -> Any:
 IMPLICIT = 0.55  # share of the velocity at the end of the step: 0.5 is second order, 1 damps most
 
 
-@dataclass(frozen=True, eq=False)
-class _Forces:
-    """Expressions of q and dq at an instant.
-
-    ``motor`` (n,) is the torque of drives minus friction without its dry part, ``level`` (n,) that
-    part's size, ``by_q`` and ``by_dq`` (n, n) the derivatives of ``motor``; ``bias`` (n,) is the
-    torque of the links without acceleration.
-    """
-
-    motor: ca.SX
-    level: ca.SX
-    by_q: ca.SX
-    by_dq: ca.SX
-    bias: ca.SX
-
-
 def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
     """Return the step ``(state, input, temperature, time, h, numbers) -> state``.
 
@@ -207,11 +191,12 @@ def step_function(fit: Fit, drives: Sequence[Drive] | None) -> ca.Function:
         found: list[ca.SX] = ca.substitute(list(expressions), [m.q, m.dq, m.ddq], own)
         return found
 
-    f = _forces(torque, sign, error, given, drives)
+    motor, level, bias = _forces(torque, sign, error, given, drives)
     armature = ca.substitute(torque.armature, sign, ca.sign(m.dq))
-    implicit = armature - IMPLICIT * h * f.by_dq - (IMPLICIT * h) ** 2 * f.by_q
-    motor, level, implicit = at(to_motors, f.motor, f.level, implicit)
-    bias, rigid, load = at(to_links, f.bias, torque.rigid_mass_matrix, torque.rigid_torque)
+    by_q, by_dq = ca.jacobian(motor, m.q), ca.jacobian(motor, m.dq)
+    implicit = armature - IMPLICIT * h * by_dq - (IMPLICIT * h) ** 2 * by_q
+    motor, level, implicit = at(to_motors, motor, level, implicit)
+    bias, rigid, load = at(to_links, bias, torque.rigid_mass_matrix, torque.rigid_torque)
     matrix = to_links.T @ rigid @ to_links + to_motors.T @ implicit @ to_motors
     inverse = ca.solve(ca.densify(matrix), ca.SX.eye(x.size))
     free = speed + h * (inverse @ (to_motors.T @ motor - to_links.T @ bias))
@@ -238,11 +223,13 @@ def _forces(
     error: ca.SX | None,
     given: ca.SX,
     drives: Sequence[Drive] | None,
-) -> _Forces:
-    """Return the forces of drives, links and friction as expressions of q and dq.
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return three kinds of forces (n,) as expressions of q and dq.
 
-    ``sign`` and ``error`` (n,) are symbols of ``torque`` for the signs of the velocities and the
-    commanded minus the measured positions; ``given`` (n,) is the torque, or commanded position.
+    They are the torque of drives minus friction without its dry part, the size of that part, and
+    the torque of the links without acceleration. ``sign`` and ``error`` (n,) are symbols of
+    ``torque`` for the signs of the velocities and the commanded minus the measured positions;
+    ``given`` (n,) is the torque, or commanded position.
     """
     m, n = torque.motion, torque.n
     zero = ca.SX.zeros(n)
@@ -267,8 +254,7 @@ def _forces(
         laws = zip(drives, errors, ca.vertsplit(m.dq), strict=True)
         driven = ca.vertcat(*(law.torque(e, v, clip=clip) for law, e, v in laws))
     bias = ca.substitute(torque.rigid_torque + torque.arm_torque, m.ddq, zero)
-    motor = driven - smooth
-    return _Forces(motor, level, ca.jacobian(motor, m.q), ca.jacobian(motor, m.dq), bias)
+    return driven - smooth, level, bias
 
 
 def _beyond_deadband(torque: TorqueExpressions, error: ca.SX) -> list[ca.SX]:
