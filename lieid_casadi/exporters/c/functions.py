@@ -20,7 +20,6 @@ from lieid_casadi.dynamics.base_parameters import base_parameters
 from lieid_casadi.dynamics.lie import Motion
 from lieid_casadi.dynamics.regressor import regressor, slotine_li_regressor
 from lieid_casadi.effects import ArmEffect
-from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.errors import ExportError
 from lieid_casadi.expressions import forward_dynamics
 from lieid_casadi.expressions.c_writer import ARITHMETIC, Dialect, UnsupportedOperation, statements
@@ -31,23 +30,6 @@ from lieid_casadi.expressions.torque import TorqueExpressions, Values
 from lieid_casadi.identification.fit import Fit
 
 AGREEMENT = 1e-13  # of the torque with fewer parameters, relative; the self-test requires 1e-12
-
-
-@dataclass(frozen=True, eq=False)
-class SampleSymbols:
-    """Symbols of the sample before, on which states depend; (n,) unless stated."""
-
-    motion: Motion
-    sign: ca.SX
-    load: ca.SX
-    temperature: ca.SX
-    time: ca.SX
-
-    @classmethod
-    def before(cls, n: int) -> SampleSymbols:
-        """Return new symbols."""
-        sign, load, temperature = (ca.SX.sym(f"before_{x}", n) for x in ("sign", "load", "temp"))
-        return cls(Motion.symbols(n), sign, load, temperature, ca.SX.sym("before_time"))
 
 
 class ExportExpressions(TorqueExpressions):
@@ -120,13 +102,10 @@ class ExportExpressions(TorqueExpressions):
         """q̈ (n,) for the torque that the drives deliver."""
         return forward_dynamics.acceleration(self)
 
-    def advance(self, before: SampleSymbols) -> ca.SX:
+    def advance(self, before: ExportExpressions) -> ca.SX:
         """Return the states (S,) at this sample from those at the sample before."""
-        m = before.motion
-        past = EffectSignals(
-            m.q, m.dq, m.ddq, before.sign, before.load, before.temperature, before.time
-        )
-        return self.model.advance(past, self._signals, self.values.shapes, self.states)
+        signals = before._signals, self._signals
+        return self.model.advance(*signals, self.values.shapes, self.states)
 
 
 def export_expressions(fit: Fit, *, payload: bool = False) -> ExportExpressions:
@@ -376,7 +355,7 @@ def _arguments(name: str, payload: bool) -> list[str]:
 
 def _advance(fit: Fit, made: ExportExpressions, numbers: dict[str, FunctionInput]) -> FunctionBody:
     """Return the body that computes the states at a sample from those at the sample before."""
-    before = SampleSymbols.before(fit.model.n)
+    before = ExportExpressions(fit, made.values)
     past = _signal_inputs(fit, before, of="state->before.")
     past["load"] = each(before.load, "state->before_load[{j}]")
     inputs = _sample_inputs(fit, made) | numbers
@@ -397,9 +376,7 @@ def _motion_inputs(motion: Motion, *, of: str = "") -> dict[str, FunctionInput]:
     }
 
 
-def _signal_inputs(
-    fit: Fit, symbols: SampleSymbols | ExportExpressions, *, of: str
-) -> dict[str, FunctionInput]:
+def _signal_inputs(fit: Fit, symbols: ExportExpressions, *, of: str) -> dict[str, FunctionInput]:
     """Return the inputs of functions of a whole sample; ``of``: its C, such as ``sample->``."""
     mean = fit.temperature_mean
     warmth = [

@@ -14,7 +14,6 @@ from lieid_casadi.exporters.c.functions import (
     SAMPLE_ARGUMENTS,
     WITHOUT_NUMBERS,
     ExportExpressions,
-    SampleSymbols,
 )
 from lieid_casadi.expressions.model_functions import ramp
 from lieid_casadi.expressions.torque import Values
@@ -112,7 +111,7 @@ class _Evaluator:
 
     def __init__(self, fit: Fit, payload: Array) -> None:
         e = self._expressions = ExportExpressions(fit, Values.symbols(fit.model))
-        self._before = before = SampleSymbols.before(fit.model.n)
+        self._before = before = ExportExpressions(fit, e.values)
         self._symbols = {"dq_r": e.dq_r, "ddq_r": e.ddq_r, "torque": e.tau, "states": e.states}
         self._symbols |= _of_sample(e)
         self._symbols |= {f"before_{name}": x for name, x in _of_sample(before).items()}
@@ -163,7 +162,7 @@ class _Evaluator:
         return np.array(function(*arguments, *self._numbers)).T
 
 
-def _of_sample(x: ExportExpressions | SampleSymbols) -> dict[str, ca.SX]:
+def _of_sample(x: ExportExpressions) -> dict[str, ca.SX]:
     m = x.motion
     return {
         "q": m.q, "sin": m.sin, "cos": m.cos, "dq": m.dq, "ddq": m.ddq, "sign": x.sign,
