@@ -51,21 +51,6 @@ class Frame:
         return named_function("jacobian", {"q": q}, {"J": matrix})
 
 
-def frame_of(robot: Robot, name: str) -> Frame:
-    """Return the kinematics of ``tool``, ``link1`` … ``linkn``, or a joint's or link's name."""
-    if name == "tool":
-        return Frame(robot, robot.n)
-    for i, joint in enumerate(robot.joints):
-        if name in (f"link{i + 1}", joint.name, joint.link_name):
-            part = replace(robot, joints=robot.joints[: i + 1], tool=np.eye(4), source=None)
-            return Frame(part, robot.n)
-    names = [joint.link_name or joint.name for joint in robot.joints]
-    raise ModelError(
-        f"robot {robot.name!r} has no frame {name!r}; expected tool, link1 … link{robot.n}, "
-        f"or one of {', '.join(names)}"
-    )
-
-
 def homogeneous(pose: Pose) -> ca.SX:
     """Return a pose as a matrix (4, 4)."""
     top = ca.horzcat(pose.rotation, pose.translation)
@@ -193,7 +178,7 @@ class SymbolicDynamics:
 
     @cached_property
     def _tool(self) -> Frame:
-        return frame_of(self.model.robot, "tool")
+        return self.frame("tool")
 
     def frame(self, name: str) -> Frame:
         """Return the kinematics of a link frame.
@@ -208,7 +193,18 @@ class SymbolicDynamics:
         ModelError
             If no frame has that name; the message lists those that exist.
         """
-        return frame_of(self.model.robot, name)
+        robot = self.model.robot
+        if name == "tool":
+            return Frame(robot, robot.n)
+        for i, joint in enumerate(robot.joints):
+            if name in (f"link{i + 1}", joint.name, joint.link_name):
+                part = replace(robot, joints=robot.joints[: i + 1], tool=np.eye(4), source=None)
+                return Frame(part, robot.n)
+        names = [joint.link_name or joint.name for joint in robot.joints]
+        raise ModelError(
+            f"robot {robot.name!r} has no frame {name!r}; expected tool, link1 … link{robot.n}, "
+            f"or one of {', '.join(names)}"
+        )
 
     @cached_property
     def forward_dynamics(self) -> ca.Function:

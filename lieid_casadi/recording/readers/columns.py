@@ -182,22 +182,34 @@ _JOINT_COLUMN = re.compile(r"(q|dq|ddq|tau|temp|i|qcmd)([0-9]{1,6})")
 class ColumnLayout:
     """Indices into a header: the column of each signal."""
 
-    n: int  # joints
+    names: tuple[str, ...]  # of all columns in the file format
     time: int
-    fields: dict[str, tuple[int, ...]]  # field of a measurement -> its n columns
+    fields: dict[str, tuple[int, ...]]  # field of a measurement -> its columns, one per joint
     label: int | None  # of the payload
-    unknown: tuple[str, ...]  # names of the columns that are not used
+    warnings: tuple[LieidWarning, ...]  # of names that were assumed, and of columns not used
 
-    def used(self, header: Sequence[str]) -> list[str]:
-        """Return the names, in the header, of the columns that hold signals."""
-        indices = [self.time, *(i for columns in self.fields.values() for i in columns)]
-        indices += [] if self.label is None else [self.label]
-        return [header[index] for index in indices]
+    @property
+    def numeric(self) -> list[int]:
+        """The columns that hold numbers, time first."""
+        return [self.time, *(i for columns in self.fields.values() for i in columns)]
+
+    def used(self, header: Sequence[str] | None = None) -> list[str]:
+        """Return the names of the columns that hold signals, or those in a header."""
+        indices = self.numeric + ([] if self.label is None else [self.label])
+        return [(self.names if header is None else header)[index] for index in indices]
 
 
-def read_layout(header: Sequence[str], where: str, n: int | None = None) -> ColumnLayout:
-    """Find the columns of a recording in a header."""
-    names = [name.strip() for name in header]
+def read_layout(
+    header: Sequence[str],
+    where: str,
+    n: int | None = None,
+    columns: Sequence[tuple[str, str]] = (),
+    joint_names: Sequence[str] | None = None,
+    *,
+    title: str = "",
+) -> ColumnLayout:
+    """Find the columns of a recording in a header; ``title`` is that of warnings."""
+    names, warnings = signal_names(header, where, columns, joint_names)
     for name, count in Counter(names).items():
         if name and count > 1:
             raise RecordingError(
@@ -225,7 +237,10 @@ def read_layout(header: Sequence[str], where: str, n: int | None = None) -> Colu
         for prefix, indices in numbered.items()
     }
     label = names.index(LABEL) if LABEL in names else None
-    return ColumnLayout(joints, names.index("t"), fields, label, tuple(unknown))
+    if unknown:
+        text = f"{title or where}: columns with unknown names ignored: {names_text(unknown)}"
+        warnings += (UnknownColumnWarning(text),)
+    return ColumnLayout(tuple(names), names.index("t"), fields, label, warnings)
 
 
 def _count_joints(numbered: dict[str, dict[int, int]], where: str, n: int | None) -> int:
@@ -248,17 +263,6 @@ def _count_joints(numbered: dict[str, dict[int, int]], where: str, n: int | None
     return count
 
 
-def layout_warnings(layout: ColumnLayout, title: str) -> tuple[LieidWarning, ...]:
-    """Return a warning that names the columns that are not used, if any."""
-    if not layout.unknown:
-        return ()
-    return (
-        UnknownColumnWarning(
-            f"{title}: columns with unknown names ignored: {names_text(layout.unknown)}"
-        ),
-    )
-
-
 def measurement_of_columns(
     given: Mapping[str, Any],
     title: str,
@@ -266,11 +270,11 @@ def measurement_of_columns(
     stated: Sequence[tuple[str, str]] = (),
 ) -> Measurement:
     """Return a measurement from named columns; values are not checked yet."""
-    names, warnings = signal_names(list(given), title, stated)
+    layout = read_layout(list(given), title, n, stated)
+    names = layout.names
     columns = dict(zip(names, given.values(), strict=True))
-    layout = read_layout(names, title, n)
     rows = len(columns[names[layout.time]])
-    for name in layout.used(names):
+    for name in layout.used():
         if len(columns[name]) != rows:
             found = f"found {len(columns[name])} values and {rows} times"
             raise RecordingError(f"{title}: column {name}: {found}, expected as many")
@@ -287,7 +291,7 @@ def measurement_of_columns(
         t=number(layout.time),
         payload_label=None if label is None else tuple(str(x) for x in label),
         name=title,
-        warnings=(*warnings, *layout_warnings(layout, title)),
+        warnings=layout.warnings,
         **signals,
     )
 

@@ -25,10 +25,8 @@ from lieid_casadi.recording.readers.columns import (
     LABEL,
     ColumnLayout,
     columns_of,
-    layout_warnings,
     measurement_of_columns,
     read_layout,
-    signal_names,
 )
 from lieid_casadi.recording.repairs import without_damaged_rows
 
@@ -40,9 +38,8 @@ def read_csv(file: Path, options: registry.ReadOptions) -> Measurement:
         raise RecordingError(f"{file}: found an empty file, expected a header {EXPECTED}")
     number, line = first
     header = _header(file, line, number)
-    where = f"{file}: line {number}"
-    names, assumed = signal_names(header, where, options.columns, options.joint_names)
-    layout = read_layout(names, where, options.n)
+    stated = options.n, options.columns, options.joint_names
+    layout = read_layout(header, f"{file}: line {number}", *stated, title=file.name)
     rows = _Rows(file, header, layout)
     try:
         matrix = _parse(rows, layout)
@@ -53,14 +50,14 @@ def read_csv(file: Path, options: registry.ReadOptions) -> Measurement:
     if len(matrix) < 2:
         found = "one row" if len(matrix) else "no rows"
         raise RecordingError(f"{file}: found {found} below the header, expected at least two")
-    columns: dict[str, Any] = dict(zip(layout.used(names), matrix.T, strict=False))
+    columns: dict[str, Any] = dict(zip(layout.used(), matrix.T, strict=False))
     if layout.label is not None:
         columns[LABEL] = rows.labels
     measurement = replace(
         measurement_of_columns(columns, str(file)),
         name=file.name,
         source_hash=registry.hash_of_file(file),
-        warnings=(*assumed, *layout_warnings(layout, file.name)),
+        warnings=layout.warnings,
     )
     repaired, fault = without_damaged_rows(measurement)
     if fault is not None and rows.mended:
@@ -117,11 +114,6 @@ def _cells(line: str) -> list[str] | None:
         return None
 
 
-def _numeric(layout: ColumnLayout) -> list[int]:
-    """Return the columns that hold numbers, time first."""
-    return [layout.time, *(i for indices in layout.fields.values() for i in indices)]
-
-
 class _Rows:
     """The rows below the header as lines of numbers; the payload's labels are in ``labels``."""
 
@@ -155,18 +147,18 @@ class _Rows:
 
 
 def _parse(rows: _Rows, layout: ColumnLayout) -> Array:
-    """Return the numbers (N, columns) in the order of `_numeric`."""
+    """Return the numbers (N, columns) in the order of `ColumnLayout.numeric`."""
     source = iter(rows)
     first = next(source, None)
     if first is None:
-        return np.empty((0, len(_numeric(layout))))
+        return np.empty((0, len(layout.numeric)))
     lines = chain([first], source)
-    return np.loadtxt(lines, delimiter=",", comments=None, usecols=_numeric(layout), ndmin=2)
+    return np.loadtxt(lines, delimiter=",", comments=None, usecols=layout.numeric, ndmin=2)
 
 
 def _locate(file: Path, header: list[str], layout: ColumnLayout) -> RecordingError:
     """Return the error of the first cell that is no number, or the first row of another length."""
-    numeric = set(_numeric(layout))
+    numeric = set(layout.numeric)
     lines = numbered_lines(file)
     next(lines)
     for number, line in lines:

@@ -17,10 +17,8 @@ from lieid_casadi.recording.measurement import Measurement
 from lieid_casadi.recording.readers import registry
 from lieid_casadi.recording.readers.columns import (
     columns_of,
-    layout_warnings,
     measurement_of_columns,
     read_layout,
-    signal_names,
 )
 from lieid_casadi.recording.sample_timing import GAP_PERIODS
 
@@ -39,10 +37,9 @@ def read_parquet(file: Path, options: registry.ReadOptions) -> Measurement:
     with registry.library_errors(file, "a Parquet file"):
         content = parquet.ParquetFile(file)
         stored = content.schema_arrow.names
-        names, assumed = signal_names(stored, str(file), options.columns, options.joint_names)
-        layout = read_layout(names, str(file), options.n)
-        used = layout.used(stored)
-        warnings = (*assumed, *layout_warnings(layout, file.name))
+        given = options.n, options.columns, options.joint_names
+        layout = read_layout(stored, str(file), *given, title=file.name)
+        used, warnings = layout.used(stored), layout.warnings
         if large:
             label = None if layout.label is None else stored[layout.label]
             columns, step = _decimated(content, used, label, options.part)
@@ -50,7 +47,7 @@ def read_parquet(file: Path, options: registry.ReadOptions) -> Measurement:
                 warnings += (_large_file(file, step),)
         else:  # one by one, or all are in memory twice
             columns = {name: _values(content.read(columns=[name]).column(0)) for name in used}
-    columns = dict(zip(layout.used(names), columns.values(), strict=True))
+    columns = dict(zip(layout.used(), columns.values(), strict=True))
     return replace(
         measurement_of_columns(columns, str(file), options.n),
         name=file.name,
