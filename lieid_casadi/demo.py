@@ -102,15 +102,20 @@ def _measured(
     seed: int,
     report: Progress,
     begun: float,
+    *,
+    part: float = 0.2,
+    rate: float = 1000.0,
 ) -> Recording:
+    """Measure the demo's arm, which is a ``part`` of all that is done."""
     arm = demo_arm(robot, seed=0, hidden=HIDDEN, joint=HIDDEN_JOINT)
     return simulate(
         arm,
         trajectory,
+        rate=rate,
         sensors=demo_sensors(robot),
         seed=seed,
         name=name,
-        progress=lambda done: report(f"measure {name}", begun + 0.2 * done),
+        progress=lambda done: report(f"measure {name}", begun + part * done),
     )
 
 
@@ -128,16 +133,10 @@ def demo_recordings(progress: Progress | None = None) -> tuple[Path, Path]:
     robot = Robot.load(DEMO_ROBOT)
     for k, (name, file) in enumerate(files.items()):
         if not _is_recording(file):
-            recording = simulate(
-                demo_arm(robot, seed=0, hidden=HIDDEN, joint=HIDDEN_JOINT),
-                FourierTrajectory(robot, base_frequency=1.0 / DURATION, seed=RUNS[name]),
-                rate=CONTROL_RATE,
-                sensors=demo_sensors(robot),
-                seed=k,
-                name=name,
-                progress=lambda done, k=k, name=name: report(  # type: ignore[misc]
-                    f"measure {name}", (k + done) / len(RUNS)
-                ),
+            motion = FourierTrajectory(robot, base_frequency=1.0 / DURATION, seed=RUNS[name])
+            part = 1.0 / len(RUNS)
+            recording = _measured(
+                robot, motion, name, k, report, k * part, part=part, rate=CONTROL_RATE
             )
             recording.save(file)
     return files["train"], files["test"]

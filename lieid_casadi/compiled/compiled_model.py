@@ -299,31 +299,26 @@ class Compiled:
 
     def _evaluation(self, name: str) -> batch_evaluation.Evaluation:
         if name not in self._evaluations:
-            self._evaluations[name] = self._make_evaluation(name)
+            starts, shape = self._extent(name)
+            # a model without effects has no columns of theirs
+            used = {part: first for part, first in starts.items() if first < shape[1]}
+            self._evaluations[name] = batch_evaluation.evaluation_of(
+                self._kernels, list(used), list(used.values()), shape
+            )
         return self._evaluations[name]
 
-    def _make_evaluation(self, name: str) -> batch_evaluation.Evaluation:
-        first_columns, shape = self._extent(name)
-        parts = [
-            (part, first)
-            for part, first in zip(_PARTS.get(name, (name,)), first_columns, strict=True)
-            if first < shape[1]  # a model without effects has no columns of theirs
-        ]
-        names, starts = [part for part, _ in parts], [first for _, first in parts]
-        return batch_evaluation.evaluation_of(self._kernels, names, starts, shape)
-
-    def _extent(self, name: str) -> tuple[tuple[int, ...], tuple[int, int]]:
-        """Return the first column of each part, and the whole matrix's shape."""
+    def _extent(self, name: str) -> tuple[dict[str, int], tuple[int, int]]:
+        """Return the first column of each part by its name, and the whole matrix's shape."""
         n = self.n
         if name in _PARTS:
             kept = self.model.base.kept
             first = {"base_regressor": 0, "base_effects": int(np.sum(kept < 10 * n))}
-            return tuple(first[part] for part in _PARTS[name]), (n, len(kept))
+            return {part: first[part] for part in _PARTS[name]}, (n, len(kept))
         shapes = {
             "regressor": (n, 10 * n), "effect_columns": (n, len(self.model.columns)),
             "mass_matrix": (n, n), "jacobian": (6, n),
         }  # fmt: skip
-        return (0,), shapes.get(name, (n, 1))
+        return {name: 0}, shapes.get(name, (n, 1))
 
 
 def default_threads() -> int:

@@ -43,6 +43,12 @@ def sparse_function(
     )
 
 
+def column_function(function: ca.Function) -> SparseFunction:
+    """Return a function of one column (s,) as a `SparseFunction`."""
+    rows = np.arange(function.size1_out(0))
+    return SparseFunction(function, rows, np.zeros_like(rows), (len(rows), 1))
+
+
 def ramp(dq: ca.SX, width: ca.SX) -> ca.SX:
     """Return sgn(q̇); inside |q̇| ≤ width its expected value under noise on q̇.
 
@@ -160,10 +166,7 @@ class ModelFunctions:
     @cached_property
     def memory(self) -> SparseFunction:
         """`advance` as a column (S, 1)."""
-        count = len(self.model.states)
-        return SparseFunction(
-            self.advance, np.arange(count), np.zeros(count, dtype=np.intp), (count, 1)
-        )
+        return column_function(self.advance)
 
     @cached_property
     def inverse_dynamics(self) -> SparseFunction:

@@ -29,14 +29,13 @@ from lieid_casadi.identification.regression.design_matrix import Design, varying
 from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.model import Model
+from lieid_casadi.payload.estimate import NORMAL
 from lieid_casadi.payload.identify import require_one_load
 from lieid_casadi.plot_style import Axes, Figure, drawing
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot import Robot
 from lieid_casadi.tables import Table, html, make_table
-
-NORMAL = 1.959963984540054  # standard deviations on either side of a 95 % interval
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from lieid_casadi.compiled.batch_evaluation import (
 from lieid_casadi.compiled.compiled_model import default_threads
 from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.errors import ModelError
-from lieid_casadi.expressions.model_functions import SparseFunction
+from lieid_casadi.expressions.model_functions import column_function
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.simulation.step import Coordinates, initial_state, plays_of, step_function
 
@@ -99,10 +99,8 @@ def _step_of(fit: Fit, under: Input, compiled: bool) -> Evaluation:
         None if mean is None else mean.tobytes(), under, compiled,
     )  # fmt: skip
     if key not in _STEPS:
-        function = step_function(fit, model.robot.drives if under == "command" else None)
-        size = function.size1_out(0)
-        rows, columns = np.arange(size), np.zeros(size, dtype=np.intp)
-        sparse = SparseFunction(function, rows, columns, (size, 1))
+        drives = model.robot.drives if under == "command" else None
+        sparse = column_function(step_function(fit, drives))
         if len(_STEPS) >= STEPS_KEPT:
             del _STEPS[next(iter(_STEPS))]
         machine = MachineEvaluation([sparse], [0], sparse.shape)
