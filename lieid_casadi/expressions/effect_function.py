@@ -8,7 +8,7 @@ here its expressions are evaluated on arrays, operation by operation.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
 
@@ -21,12 +21,6 @@ from lieid_casadi.effects import Effect, Signals
 from lieid_casadi.expressions.model_functions import ramp
 
 OWN = ("q", "dq", "ddq", "sign", "load", "temperature", "time", "command_error")
-
-
-def signals_of(own: Mapping[str, ca.SX]) -> Signals:
-    """Return the signals of one joint from their symbols by name (`OWN`)."""
-    q, dq, ddq, sign, load, temperature, time, error = (own[name] for name in OWN)
-    return Signals(q, dq, ddq, sign, load, temperature, time, command_error=error)
 
 
 @cache
@@ -88,13 +82,12 @@ class EffectFunction:
 
     def _signals(self, state: Mapping[str, ca.SX]) -> tuple[Signals, list[ca.SX]]:
         """Return the signals of a place, and their symbols in the order of `_arrays`."""
-        own, other, *further = (_symbols(OWN) for _ in range(2 + len(self.effect.joints)))
-        signals = replace(
-            signals_of(own),
-            other=signals_of(other) if self.effect.couples else None,
-            state=dict(state),
-            every=_Further(dict(zip(self.effect.joints, map(signals_of, further), strict=True))),
-        )
+        count = 2 + len(self.effect.joints)
+        joints: list[dict[str, Any]] = [{x: ca.SX.sym(x) for x in OWN} for _ in range(count)]
+        own, other, *further = joints
+        others = {j: Signals(**x) for j, x in zip(self.effect.joints, further, strict=True)}
+        coupled = Signals(**other) if self.effect.couples else None
+        signals = Signals(**own, other=coupled, state=dict(state), every=_Further(others))
         return signals, [symbol for each in (own, other, *further) for symbol in each.values()]
 
     def _arrays(
@@ -149,10 +142,6 @@ class EffectFunction:
             _recurrence(np.where(finite, a, 1.0), np.where(finite, b, 0.0), x)
             for a, b, x in zip(found[:count], found[count:], initial, strict=True)
         ]
-
-
-def _symbols(names: Sequence[str]) -> dict[str, ca.SX]:
-    return {name: ca.SX.sym(name) for name in names}
 
 
 def _recurrence(a: Array, b: Array, initial: Array) -> Array:

@@ -12,19 +12,17 @@ from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot.description import NOT_STATED, Limits
 from lieid_casadi.robot.inertia import link_parameters, pose, symmetric
+from lieid_casadi.robot.yaml_text import FARTHEST, LARGEST
 
-Array = NDArray[np.float64]
 Element = ElementTree.Element
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 MOST = 1000  # links, and joints
-LARGEST = 1e12  # of any number, SI: products of a few of them stay far below overflow
-FARTHEST = 1e6  # m, rad
 LEAST_AXIS, LONGEST_AXIS = 1e-6, 1e6  # length of an axis before it is normalized
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 import lieid_casadi as lieid
-from lieid_casadi.effects import ArmEffect
+from lieid_casadi.effects import ArmEffect, Signals
 from lieid_casadi.effects.presliding import Presliding
 from lieid_casadi.effects.registry import REGISTER, make
-from lieid_casadi.expressions.effect_function import OWN, ArrayFunction, EffectFunction, signals_of
+from lieid_casadi.expressions.effect_function import OWN, ArrayFunction, EffectFunction
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 EXPRESSIONS = {
@@ -101,11 +101,11 @@ def test_states_are_those_of_single_steps(effect, shapes):
     np.testing.assert_array_equal(both[:, 1], found[:, 1, ::-1])
     before, now = ({name: ca.SX.sym(name) for name in OWN} for _ in range(2))
     z = ca.SX.sym("z")
-    signals = signals_of(before)
+    signals = Signals(**before)
     signals.state["z"] = z
     for g, row in enumerate(grid):
         shape = {s.name: ca.SX(x) for s, x in zip(effect.shapes, row, strict=True)}
-        after = effect.next_states(signals, signals_of(now), shape)
+        after = effect.next_states(signals, Signals(**now), shape)
         step = ca.Function("step", [z, *before.values(), *now.values()], after)
         for place in range(2):
             own = np.array([values[name][:, place] for name in OWN]).T
