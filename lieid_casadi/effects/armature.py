@@ -1,7 +1,5 @@
 """Inertia of the rotor and gear, reflected to the joint."""
 
-from typing import ClassVar
-
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
@@ -11,8 +9,8 @@ class Armature(Effect):
     """Reflected rotor inertia: τ = I_a·q̈, I_a in kg·m² and not negative."""
 
     name = "armature"
-    finding: ClassVar = ("Rotor inertia acts on {joints}",)
-    change: ClassVar = ("Rotor inertia on {joints} has {increased}",)
+    finding = ("Rotor inertia acts on {joints}",)
+    change = ("Rotor inertia on {joints} has {increased}",)
     formula = "I_a·q̈"
     coefficients = (
         Coefficient(
@@ -22,7 +20,7 @@ class Armature(Effect):
     signals = ("ddq",)
     energy = "armature"
     revealed_by = "large accelerations in poses with different link inertia about the joint axis"
-    confused_with: ClassVar = {
+    confused_with = {
         "torque_delay": "a delay adds a term in the derivative of the torque; vary the frequency",
         "joint_elasticity": "both grow with acceleration; elasticity also moves other joints",
     }

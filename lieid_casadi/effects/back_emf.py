@@ -1,7 +1,5 @@
 """Back-EMF of a drive whose control law does not contain it."""
 
-from typing import ClassVar
-
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
@@ -15,8 +13,8 @@ class BackEmf(Effect):
     """
 
     name = "back_emf"
-    finding: ClassVar = ("The back-EMF of {joints} is not part of the drive law",)
-    change: ClassVar = ("The back-EMF of {joints} has {increased}",)
+    finding = ("The back-EMF of {joints} is not part of the drive law",)
+    change = ("The back-EMF of {joints} has {increased}",)
     formula = "k·q̇, k = k_t·k_e/R"
     coefficients = (
         Coefficient("k", "N·m·s/rad", lower=0.0, meaning="torque per speed lost to back-EMF"),
@@ -24,7 +22,7 @@ class BackEmf(Effect):
     signals = ("dq",)
     commanded = True
     revealed_by = "motion at several speeds; only a run without power separates it from friction"
-    confused_with: ClassVar = {
+    confused_with = {
         "viscous": "the two are the same with any recording under power",
     }
     typical = "stall torque over no-load speed of a servo: 0.05 to 1 N·m·s/rad"

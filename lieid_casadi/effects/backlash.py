@@ -1,7 +1,5 @@
 """Play between motor and link."""
 
-from typing import ClassVar
-
 import casadi as ca
 import numpy as np
 
@@ -25,8 +23,8 @@ class Backlash(ArmEffect):
     """
 
     name = "backlash"
-    finding: ClassVar = ("The transmission of {joints} has play",)
-    change: ClassVar = ("The play of {joints} has {increased}",)
+    finding = ("The transmission of {joints} has play",)
+    change = ("The play of {joints} has {increased}",)
     formula = "q_link = q − g; g = b/2·sgn(τ_load), after a change of sign M_ii·g̈ = τ_load"
     coefficients = (Coefficient("b", "rad", lower=0.0, limit=0.3, meaning="play of the gear"),)
     shapes = (
@@ -36,7 +34,7 @@ class Backlash(ArmEffect):
     needs_past = True
     export_note = "the time in which the play is crossed is neglected"
     revealed_by = "loads that change their sign often: fast motion, gravity loads of both signs"
-    confused_with: ClassVar = {
+    confused_with = {
         "encoder_offset": "the same while the load has one sign; use both",
         "joint_elasticity": "elasticity grows with the load; vary it",
         "coulomb": "similar where the load changes its sign with the velocity",

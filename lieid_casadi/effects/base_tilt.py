@@ -1,7 +1,5 @@
 """Tilt of the base against gravity."""
 
-from typing import ClassVar
-
 import casadi as ca
 import numpy as np
 
@@ -20,8 +18,8 @@ class BaseTilt(ArmEffect):
     """
 
     name = "base_tilt"
-    finding: ClassVar = ("The base is tilted",)
-    change: ClassVar = ("The base has tilted",)
+    finding = ("The base is tilted",)
+    change = ("The base has tilted",)
     formula = "gravity = R_y(β)·R_x(α)·g"
     coefficients = (
         Coefficient("alpha", "rad", limit=0.8, meaning="tilt about the base's x axis"),
@@ -30,7 +28,7 @@ class BaseTilt(ArmEffect):
     whole_arm = True
     on_measurement = False
     revealed_by = "gravity torque in poses spread over the workspace, above all on the first joint"
-    confused_with: ClassVar = {
+    confused_with = {
         "encoder_offset": "both turn gravity; a tilt acts on all joints",
         "offset": "similar on a vertical first joint over a small range; use the whole range",
     }

@@ -1,7 +1,5 @@
 """Drift of the zero of a torque sensor."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
@@ -19,11 +17,11 @@ class BiasDrift(ArmEffect):
     """
 
     name = "bias_drift"
-    finding: ClassVar = (
+    finding = (
         "The torque of {joints} drifts upwards",
         "The torque of {joints} drifts downwards",
     )
-    change: ClassVar = finding
+    change = finding
     formula = "r·(t − t̄)"
     coefficients = (Coefficient("r", "N·m/s", meaning="drift rate"),)
     reach = "joint"
@@ -31,7 +29,7 @@ class BiasDrift(ArmEffect):
     on_torque_signal = True
     linear = True
     revealed_by = "the same motion repeated over several minutes"
-    confused_with: ClassVar = {
+    confused_with = {
         "warm_up": "only warm-up changes sign with the velocity; drive both directions",
         "offset": "similar in short recordings; record longer",
     }

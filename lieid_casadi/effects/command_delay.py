@@ -1,7 +1,5 @@
 """Commands that reach the drive late."""
 
-from typing import ClassVar
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -53,8 +51,8 @@ class CommandDelay(ArmEffect):
     """
 
     name = "command_delay"
-    finding: ClassVar = ("The commands of {joints} act late",)
-    change: ClassVar = ("The delay of the commands of {joints} has {increased}",)
+    finding = ("The commands of {joints} act late",)
+    change = ("The delay of the commands of {joints} has {increased}",)
     formula = "law(q_cmd(t) − q) − law(q_cmd(t − δ) − q)"
     coefficients = (
         Coefficient(
@@ -66,7 +64,7 @@ class CommandDelay(ArmEffect):
     needs_past = True
     export_note = "omitted: the torque is that which the drives deliver"
     revealed_by = "commands that change quickly, of one direction and the other"
-    confused_with: ClassVar = {
+    confused_with = {
         "viscous": "a delay acts with the velocity of the command; vary accelerations",
         "back_emf": "as viscous",
         "deadband": "a delay vanishes when the command rests",

@@ -1,7 +1,5 @@
 """Coulomb friction (Luo et al. 2024, Eq. 10)."""
 
-from typing import ClassVar
-
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
@@ -14,15 +12,15 @@ class Coulomb(Effect):
     """
 
     name = "coulomb"
-    finding: ClassVar = ("Dry friction acts on {joints}",)
-    change: ClassVar = ("Dry friction on {joints} has {increased}",)
+    finding = ("Dry friction acts on {joints}",)
+    change = ("Dry friction on {joints} has {increased}",)
     formula = "f_c·sgn(q̇)"
     coefficients = (
         Coefficient("f_c", "N·m", meaning="dry friction in sliding", opposes_motion=True),
     )
     signals = ("sign",)
     revealed_by = "motion in both directions through the same positions, at low and medium speed"
-    confused_with: ClassVar = {
+    confused_with = {
         "viscous": "at one speed the two are the same; use speeds that differ by a factor of 5",
         "load_friction": "under a constant load the two are the same; vary pose and payload",
         "presliding": "differs only within a few degrees after a reversal; reverse slowly",

@@ -1,7 +1,5 @@
 """Position errors to which a controller does not react."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
@@ -20,8 +18,8 @@ class Deadband(ArmEffect):
     """
 
     name = "deadband"
-    finding: ClassVar = ("The controller of {joints} does not react to small errors",)
-    change: ClassVar = ("The dead band of {joints} has {increased}",)
+    finding = ("The controller of {joints} does not react to small errors",)
+    change = ("The dead band of {joints} has {increased}",)
     formula = "K·clip(q_cmd − q, ±d)"
     coefficients = (Coefficient("d", "rad", lower=0.0, meaning="half width of the dead band"),)
     commanded = True
@@ -29,7 +27,7 @@ class Deadband(ArmEffect):
     reach = "joint"
     export_note = "omitted: the torque is that which the drives deliver"
     revealed_by = "position errors of both signs: slow motion, loads of both signs"
-    confused_with: ClassVar = {
+    confused_with = {
         "coulomb": "a dead band follows the sign of the error, friction that of the velocity",
         "load_friction": "both follow the load; vary its size",
     }

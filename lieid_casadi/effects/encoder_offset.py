@@ -1,7 +1,5 @@
 """Zero offset of a joint encoder."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
@@ -19,12 +17,12 @@ class EncoderOffset(ArmEffect):
     """
 
     name = "encoder_offset"
-    finding: ClassVar = ("The zero of the position of {joints} is wrong",)
-    change: ClassVar = ("The zero of the position of {joints} has moved",)
+    finding = ("The zero of the position of {joints} is wrong",)
+    change = ("The zero of the position of {joints} has moved",)
     formula = "q_true = q + δ"
     coefficients = (Coefficient("delta", "rad", limit=0.5, meaning="zero offset"),)
     revealed_by = "gravity torque in poses spread over the range of this joint and its neighbours"
-    confused_with: ClassVar = {
+    confused_with = {
         "base_tilt": "both turn gravity; a tilt acts on all joints",
         "position_spring": "similar over a small range of positions; use the whole range",
         "payload": "both change gravity torques; use the whole range of poses",

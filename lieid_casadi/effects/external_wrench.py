@@ -1,7 +1,5 @@
 """A constant wrench at the tool."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
@@ -18,8 +16,8 @@ class ExternalWrench(ArmEffect):
     """
 
     name = "external_wrench"
-    finding: ClassVar = ("A constant force acts on the tool",)
-    change: ClassVar = finding
+    finding = ("A constant force acts on the tool",)
+    change = finding
     formula = "+Jᵀ·[m; f]"
     coefficients = (
         *(Coefficient(f"m{x}", "N·m", limit=1e4, meaning=f"moment about {x}") for x in "xyz"),
@@ -29,7 +27,7 @@ class ExternalWrench(ArmEffect):
     on_measurement = False
     linear = True
     revealed_by = "motion through the workspace while the wrench is constant"
-    confused_with: ClassVar = {
+    confused_with = {
         "payload": "a vertical force resembles a weight at the tool's origin; accelerate the tool",
         "offset": "similar over a small range of poses; use the whole range",
     }

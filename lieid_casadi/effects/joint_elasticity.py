@@ -1,7 +1,5 @@
 """Elasticity between motor and link."""
 
-from typing import ClassVar
-
 import numpy as np
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel
@@ -20,8 +18,8 @@ class JointElasticity(ArmEffect):
     """
 
     name = "joint_elasticity"
-    finding: ClassVar = ("The transmission of {joints} is elastic",)
-    change: ClassVar = (
+    finding = ("The transmission of {joints} is elastic",)
+    change = (
         "The transmission of {joints} has become softer",
         "The transmission of {joints} has become stiffer",
     )
@@ -30,7 +28,7 @@ class JointElasticity(ArmEffect):
     needs_past = True
     trial_values = ((1e-4,), (3e-4,), (1e-3,), (3e-3,))
     revealed_by = "high accelerations with a large inertia behind the joint, and large loads"
-    confused_with: ClassVar = {
+    confused_with = {
         "torque_delay": "both shift the torque in time; vary the frequency",
         "armature": "both grow with acceleration; elasticity also moves other joints",
         "encoder_offset": "under a constant load the deflection is an offset; vary the load",

@@ -1,7 +1,5 @@
 """Friction that grows with the load on the joint (Luo et al. 2024, Eq. 8)."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
@@ -19,15 +17,15 @@ class LoadFriction(Effect):
     """
 
     name = "load_friction"
-    finding: ClassVar = (
+    finding = (
         "Friction on {joints} grows with the load",
         "Friction on {joints} falls with the load",
     )
-    change: ClassVar = (
+    change = (
         "Friction on {joints} grows more with the load than before",
         "Friction on {joints} grows less with the load than before",
     )
-    options: ClassVar = {
+    options = {
         "paper": "both terms of Eq. 8, with |q̇| written as √(q̇² + ε²)",
         "motoring": (
             "one coefficient when motoring and one when generating (Hamon, Gautier, "
@@ -41,7 +39,7 @@ class LoadFriction(Effect):
     size_unit = "N·m per N·m"
     signals: tuple[str, ...] = ("sign", "load")
     revealed_by = "both directions through poses of small and large gravity torque, or a payload"
-    confused_with: ClassVar = {
+    confused_with = {
         "coulomb": "under a constant load the two are the same; vary pose and payload",
         "torque_gain": "both scale with the load; only friction changes sign with the velocity",
         "position_friction": "gravity varies with position; repeat the motion with a payload",

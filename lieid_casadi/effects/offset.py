@@ -1,7 +1,5 @@
 """Constant torque (Luo et al. 2024, Eq. 10)."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
@@ -13,14 +11,14 @@ class Offset(Effect):
     """A constant torque τ = f_b, in N·m: zero error of a torque sensor, unequal friction."""
 
     name = "offset"
-    finding: ClassVar = ("A constant torque acts on {joints}",)
-    change: ClassVar = ("The constant torque on {joints} has {increased}",)
+    finding = ("A constant torque acts on {joints}",)
+    change = ("The constant torque on {joints} has {increased}",)
     formula = "f_b"
     coefficients = (Coefficient("f_b", "N·m", meaning="constant torque"),)
     signals = ()
     energy = "offset"
     revealed_by = "motion through a wide range of positions, in both directions"
-    confused_with: ClassVar = {
+    confused_with = {
         "position_spring": "similar over a small range of positions; use the whole range",
         "bias_drift": "similar over a short recording; record longer",
         "base_tilt": "similar on joints whose gravity torque changes little; use the whole range",

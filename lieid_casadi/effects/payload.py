@@ -1,7 +1,6 @@
 """A body attached to the tool."""
 
 from collections.abc import Mapping
-from typing import ClassVar
 
 import casadi as ca
 
@@ -20,8 +19,8 @@ class Payload(ArmEffect):
     """
 
     name = "payload"
-    finding: ClassVar = ("A body is attached to the tool",)
-    change: ClassVar = (
+    finding = ("A body is attached to the tool",)
+    change = (
         "The body at the tool has become heavier",
         "The body at the tool has become lighter",
     )
@@ -34,7 +33,7 @@ class Payload(ArmEffect):
     on_measurement = False
     linear = True
     revealed_by = "gravity torque in at least three orientations of the tool"
-    confused_with: ClassVar = {
+    confused_with = {
         "external_wrench": "similar over few orientations; a force keeps its direction",
         "torque_gain": "similar on a single joint; a payload acts on all joints before it",
     }

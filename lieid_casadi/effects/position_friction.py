@@ -1,7 +1,5 @@
 """Dry friction that varies with position: eccentric gears, cables."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
@@ -16,8 +14,8 @@ class PositionFriction(Effect):
     """
 
     name = "position_friction"
-    finding: ClassVar = ("Dry friction on {joints} varies with the joint angle",)
-    change: ClassVar = ("The variation of dry friction on {joints} with the angle has changed",)
+    finding = ("Dry friction on {joints} varies with the joint angle",)
+    change = ("The variation of dry friction on {joints} with the angle has changed",)
     formula = "(f_sin·sin kq + f_cos·cos kq)·sgn(q̇)"
     coefficients = (
         Coefficient("f_sin", "N·m", meaning="sine part of the dry friction"),
@@ -26,7 +24,7 @@ class PositionFriction(Effect):
     shapes = (Shape("k", "1/rad", 1.0, 0.5, 8.0, meaning="periods per turn"),)
     signals = ("q", "sign")
     revealed_by = "slow motion in both directions through the joint's whole range"
-    confused_with: ClassVar = {
+    confused_with = {
         "load_friction": "gravity varies with position, too; repeat the motion with a payload",
         "torque_ripple": "ripple has the same sign in both directions; drive both",
     }

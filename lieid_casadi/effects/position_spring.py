@@ -1,7 +1,5 @@
 """A spring across the joint: balancer, hose, cable."""
 
-from typing import ClassVar
-
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
@@ -14,17 +12,17 @@ class PositionSpring(Effect):
     """
 
     name = "position_spring"
-    finding: ClassVar = (
+    finding = (
         "A torque on {joints} grows with the joint angle",
         "A torque on {joints} falls with the joint angle, as of a spring",
     )
-    change: ClassVar = finding
+    change = finding
     formula = "K·q"
     coefficients = (Coefficient("K", "N·m/rad", limit=2e4, meaning="stiffness"),)
     signals = ("q",)
     accompanied_by = ("offset",)
     revealed_by = "slow motion through the joint's whole range, also where gravity has no effect"
-    confused_with: ClassVar = {
+    confused_with = {
         "offset": "similar over a small range of positions; use the whole range",
         "encoder_offset": "similar where gravity is linear in the angle; use the whole range",
         "torque_ripple": "similar over less than a period of the ripple; use the whole range",

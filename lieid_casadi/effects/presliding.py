@@ -1,7 +1,5 @@
 """Friction with hysteresis at reversals: Dahl and LuGre, integrated exactly."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.effect import (
@@ -32,9 +30,9 @@ class Presliding(Effect):
     """
 
     name = "presliding"
-    finding: ClassVar = ("Friction on {joints} builds up over a small angle after each reversal",)
-    change: ClassVar = ("Friction on {joints} builds up differently after reversals than before",)
-    options: ClassVar = {
+    finding = ("Friction on {joints} builds up over a small angle after each reversal",)
+    change = ("Friction on {joints} builds up differently after reversals than before",)
+    options = {
         "load": "an additional term proportional to |τ_load|",
         "square": "an additional term proportional to τ_load²",
         "lugre": (
@@ -47,7 +45,7 @@ class Presliding(Effect):
     dry = True
     replaces = ("coulomb",)
     revealed_by = "slow reversals, sampled several times within the width w"
-    confused_with: ClassVar = {
+    confused_with = {
         "coulomb": "differs only within a few w after a reversal; reverse slowly",
         "stribeck": "both act near reversals; vary the speed of the reversal",
         "joint_elasticity": "both give hysteresis over position; only elasticity scales with load",

@@ -4,7 +4,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -87,9 +86,9 @@ class Smooth(Effect):
     """
 
     name = "smooth"
-    finding: ClassVar = ("An additional torque on {joints} is a smooth function of its signals",)
-    change: ClassVar = ("A torque on {joints} that depends on its signals has changed",)
-    options: ClassVar = {
+    finding = ("An additional torque on {joints} is a smooth function of its signals",)
+    change = ("A torque on {joints} that depends on its signals has changed",)
+    options = {
         "q": "of the joint angle",
         "dq": "of the velocity (the default)",
         "ddq": "of the acceleration",
@@ -100,7 +99,7 @@ class Smooth(Effect):
     free_options = True
     candidate = False
     revealed_by = "motion through the whole range of the signals, each at several values of others"
-    confused_with: ClassVar = {
+    confused_with = {
         "stribeck": "a function of the velocity contains it; prefer the effect with a name",
         "torque_ripple": "a function of the angle contains ripple of low order",
         "position_spring": "a function of the angle contains the spring",

@@ -1,7 +1,5 @@
 """Stribeck friction: more friction at low speed (Luo et al. 2024, Eqs. 6-7)."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
@@ -20,12 +18,12 @@ class Stribeck(Effect):
 
     name = "stribeck"
     family = "friction over speed"
-    finding: ClassVar = (
+    finding = (
         "Friction on {joints} falls with speed from standstill",
         "Friction on {joints} rises with speed from standstill",
     )
-    change: ClassVar = ("Friction on {joints} near standstill has {increased}",)
-    options: ClassVar = {
+    change = ("Friction on {joints} near standstill has {increased}",)
+    options = {
         "exponent": "Eq. 6 with its exponent δ_s free; it is 2 otherwise",
         "two_width": (
             "Eq. 7: Coulomb friction rises as static friction falls, each with its own width; "
@@ -34,7 +32,7 @@ class Stribeck(Effect):
     }
     signals: tuple[str, ...] = ("dq", "sign")
     revealed_by = "reversals and constant speeds between the dead zone and a few times v_s"
-    confused_with: ClassVar = {
+    confused_with = {
         "coulomb": "similar where no speed is below v_s; move more slowly",
         "presliding": "both act near reversals; only presliding depends on the distance moved",
         "viscous_polynomial": "both change friction over speed; use speeds below v_s",

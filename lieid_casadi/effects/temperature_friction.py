@@ -1,7 +1,5 @@
 """Friction that changes with the joint's temperature."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
@@ -17,12 +15,12 @@ class TemperatureFriction(Effect):
     """
 
     name = "temperature_friction"
-    finding: ClassVar = (
+    finding = (
         "Friction on {joints} grows with temperature",
         "Friction on {joints} falls with temperature",
     )
-    change: ClassVar = finding
-    options: ClassVar = {
+    change = finding
+    options = {
         "exponential": (
             "viscous friction that falls exponentially with temperature, as lubricants do "
             "(Vogel, Reynolds); replaces viscous, or, beside it, is the part that falls"
@@ -30,7 +28,7 @@ class TemperatureFriction(Effect):
     }
     signals: tuple[str, ...] = ("dq", "sign", "temperature")
     revealed_by = "the same motion with a cold and a warm joint, 10 °C apart or more"
-    confused_with: ClassVar = {
+    confused_with = {
         "warm_up": "similar while the temperature rises steadily; record several starts",
         "viscous": "at one temperature the two are the same",
     }

@@ -1,7 +1,5 @@
 """Torque and motion that are recorded by different clocks."""
 
-from typing import ClassVar
-
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel
 from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
@@ -18,11 +16,11 @@ class TimeShift(ArmEffect):
     """
 
     name = "time_shift"
-    finding: ClassVar = (
+    finding = (
         "The torques of all joints lag behind the positions",
         "The torques of all joints lead the positions",
     )
-    change: ClassVar = finding
+    change = finding
     formula = "τ_measured(t) = τ(t − δ) on every joint"
     coefficients = (Coefficient("delta", "s", limit=0.5, meaning="shift", resolved_by="lead"),)
     whole_arm = True
@@ -32,7 +30,7 @@ class TimeShift(ArmEffect):
     export_note = "omitted: the torque is that of the instant, without the shift of its measurement"
     trial_values = ((-0.02,), (-0.005,), (0.005,), (0.01,), (0.02,), (0.04,), (0.08,))
     revealed_by = "fast changes of torque: high accelerations, reversals, rates above 100 Hz"
-    confused_with: ClassVar = {
+    confused_with = {
         "torque_lowpass": "only a filter attenuates; record accelerations up to its cut-off",
         "torque_delay": "a shift of the whole arm is one delay for all joints",
     }

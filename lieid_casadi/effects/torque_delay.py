@@ -1,7 +1,5 @@
 """A torque that is recorded with a delay."""
 
-from typing import ClassVar
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,11 +20,11 @@ class TorqueDelay(ArmEffect):
     """
 
     name = "torque_delay"
-    finding: ClassVar = (
+    finding = (
         "The measured torque of {joints} lags behind the position",
         "The measured torque of {joints} leads the position",
     )
-    change: ClassVar = finding
+    change = finding
     formula = "τ_measured(t) = τ(t − δ)"
     coefficients = (Coefficient("delta", "s", limit=0.1, meaning="delay", resolved_by="lead"),)
     reach = "joint"
@@ -36,7 +34,7 @@ class TorqueDelay(ArmEffect):
     export_note = "omitted: the torque is that of the instant, without the delay of its measurement"
     trial_values = ((-0.02,), (-0.005,), (0.005,), (0.01,), (0.02,), (0.04,), (0.08,))
     revealed_by = "fast changes of torque: high accelerations, reversals, rates above 100 Hz"
-    confused_with: ClassVar = {
+    confused_with = {
         "viscous": "a delayed inertia torque resembles damping; vary the frequency",
         "armature": "a delayed damping torque resembles inertia; vary the frequency",
         "torque_lowpass": "only a filter attenuates; record accelerations up to its cut-off",

@@ -1,7 +1,5 @@
 """A wrong gain of a torque sensor or a wrong drive constant."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, on_joint
@@ -18,11 +16,11 @@ class TorqueGain(ArmEffect):
     """
 
     name = "torque_gain"
-    finding: ClassVar = (
+    finding = (
         "The measured torque of {joints} is too large",
         "The measured torque of {joints} is too small",
     )
-    change: ClassVar = (
+    change = (
         "The measured torque of {joints} has become larger",
         "The measured torque of {joints} has become smaller",
     )
@@ -32,7 +30,7 @@ class TorqueGain(ArmEffect):
     reach = "joint"
     linear = True
     revealed_by = "large gravity torque on several joints, or a payload of known mass"
-    confused_with: ClassVar = {
+    confused_with = {
         "load_friction": "only friction changes sign with the velocity; drive both directions",
         "payload": "a payload changes all joints before it; use the whole range of poses",
     }

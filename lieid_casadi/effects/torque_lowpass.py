@@ -1,7 +1,5 @@
 """A torque signal that passed a low-pass filter before it was recorded."""
 
-from typing import ClassVar
-
 import numpy as np
 from scipy.signal import lfilter
 
@@ -23,13 +21,13 @@ class TorqueLowpass(ArmEffect):
     """
 
     name = "torque_lowpass"
-    finding: ClassVar = ("The measured torque of {joints} is low-pass filtered",)
-    change: ClassVar = finding
+    finding = ("The measured torque of {joints} is low-pass filtered",)
+    change = finding
     formula = "T·d(τ_measured)/dt + τ_measured = τ"
     coefficients = (
         Coefficient("T", "s", lower=0.0, limit=0.2, meaning="time constant, 1/(2π·cut-off)"),
     )
-    options: ClassVar = {
+    options = {
         "second_order": "a critically damped filter of second order, delay 2·T",
         "common": "one time constant for all joints: the controller's filter",
         "common_second_order": "of second order, one time constant for all joints",
@@ -40,7 +38,7 @@ class TorqueLowpass(ArmEffect):
     export_note = "omitted: the torque is that of the instant, without the filter of its signal"
     trial_values = ((0.003,), (0.01,), (0.02,), (0.04,), (0.08,))
     revealed_by = "torque that changes quickly: high accelerations, reversals, rates above 100 Hz"
-    confused_with: ClassVar = {
+    confused_with = {
         "torque_delay": "only a filter attenuates; record accelerations up to its cut-off",
         "viscous": "a filtered inertia torque resembles damping; vary the frequency",
         "armature": "a filtered damping torque resembles inertia; vary the frequency",

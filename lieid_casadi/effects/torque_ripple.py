@@ -1,7 +1,5 @@
 """Torque that repeats with the joint angle: cogging, gears, eccentric bearings."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
@@ -16,8 +14,8 @@ class TorqueRipple(Effect):
     """
 
     name = "torque_ripple"
-    finding: ClassVar = ("The torque of {joints} ripples over the joint angle",)
-    change: ClassVar = ("The ripple of the torque of {joints} over the joint angle has changed",)
+    finding = ("The torque of {joints} ripples over the joint angle",)
+    change = ("The ripple of the torque of {joints} over the joint angle has changed",)
     formula = "a·sin(kq) + b·cos(kq)"
     coefficients = (
         Coefficient("a", "N·m", meaning="sine part"),
@@ -26,7 +24,7 @@ class TorqueRipple(Effect):
     shapes = (Shape("k", "1/rad", 6.0, 1.9, 400.0, scan=0.25, meaning="periods per turn"),)
     signals = ("q",)
     revealed_by = "slow motion through at least one period, sampled 5 times per period or more"
-    confused_with: ClassVar = {
+    confused_with = {
         "position_friction": "friction changes sign with the direction; drive both",
         "position_spring": "similar over less than a period; use the whole range",
     }

@@ -1,7 +1,5 @@
 """A drive that delivers less than its control law asks for."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
@@ -26,8 +24,8 @@ class TorqueSaturation(Effect):
     """
 
     name = "torque_saturation"
-    finding: ClassVar = ("The drive of {joints} delivers less than its law states at large errors",)
-    change: ClassVar = (
+    finding = ("The drive of {joints} delivers less than its law states at large errors",)
+    change = (
         "The drive of {joints} delivers less at large errors than before",
         "The drive of {joints} delivers more at large errors than before",
     )
@@ -46,7 +44,7 @@ class TorqueSaturation(Effect):
     signals = ("command_error",)
     commanded = True
     revealed_by = "position errors well beyond the limit: fast commands, heavy loads"
-    confused_with: ClassVar = {
+    confused_with = {
         "torque_gain": "a gain acts on small errors, too; cover both",
         "command_delay": "both grow with fast commands; load the arm at rest",
     }

@@ -1,7 +1,5 @@
 """Torque on a joint from the motion of another: shared gears, coupled drives."""
 
-from typing import ClassVar
-
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
@@ -14,9 +12,9 @@ class TransmissionCoupling(Effect):
     """
 
     name = "transmission_coupling"
-    finding: ClassVar = ("The motion of joint {source} causes friction on {joints}",)
-    change: ClassVar = ("Friction on {joints} from the motion of joint {source} has changed",)
-    options: ClassVar = {
+    finding = ("The motion of joint {source} causes friction on {joints}",)
+    change = ("Friction on {joints} from the motion of joint {source} has changed",)
+    options = {
         "rotor": (
             "joint i also accelerates the rotor of joint j's drive, as where the gears of a wrist "
             "turn each other; 5<6 and 6<5 have the same inertia"
@@ -25,7 +23,7 @@ class TransmissionCoupling(Effect):
     signals: tuple[str, ...] = ("dq", "sign")
     couples = True
     revealed_by = "motion in which the two joints move one at a time"
-    confused_with: ClassVar = {
+    confused_with = {
         "viscous": "similar where both joints move together; move them one at a time",
         "coulomb": "similar where both joints move together; move them one at a time",
     }

@@ -1,7 +1,5 @@
 """Viscous friction that differs between the two directions."""
 
-from typing import ClassVar
-
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
@@ -14,15 +12,15 @@ class ViscousAsymmetric(Effect):
     """
 
     name = "viscous_asymmetric"
-    finding: ClassVar = ("Viscous friction on {joints} differs between the directions",)
-    change: ClassVar = ("The difference of friction on {joints} between directions has changed",)
+    finding = ("Viscous friction on {joints} differs between the directions",)
+    change = ("The difference of friction on {joints} between directions has changed",)
     formula = "f·|q̇|"
     coefficients = (
         Coefficient("f", "N·m·s/rad", meaning="half the difference between the directions"),
     )
     signals = ("dq", "sign")
     revealed_by = "fast and slow motion in both directions through the same positions"
-    confused_with: ClassVar = {
+    confused_with = {
         "offset": "at one speed the two are the same; use several speeds",
         "viscous_polynomial": "similar where one direction is always faster; use equal speeds",
     }

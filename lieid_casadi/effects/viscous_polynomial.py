@@ -1,7 +1,5 @@
 """Nonlinear viscous friction (Luo et al. 2024, Eq. 17)."""
 
-from typing import ClassVar
-
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, ShapeSymbols, Signals
 from lieid_casadi.effects.registry import register
 
@@ -15,8 +13,8 @@ class ViscousPolynomial(Effect):
 
     name = "viscous_polynomial"
     family = "friction over speed"
-    finding: ClassVar = ("Friction on {joints} is not a straight line over speed",)
-    change: ClassVar = ("The curve of friction over speed on {joints} has changed",)
+    finding = ("Friction on {joints} is not a straight line over speed",)
+    change = ("The curve of friction over speed on {joints} has changed",)
     formula = "f_v2·sgn(q̇)·q̇² + f_v3·q̇³"
     coefficients = (
         Coefficient("f_v2", "N·m·s²/rad²", meaning="friction per square of velocity"),
@@ -24,7 +22,7 @@ class ViscousPolynomial(Effect):
     )
     signals = ("dq", "sign")
     revealed_by = "motion from low speed to the joint's top speed"
-    confused_with: ClassVar = {
+    confused_with = {
         "stribeck": "both change friction over speed; only Stribeck friction falls at low speed",
         "temperature_friction": "fast motion warms the joint; repeat it at another temperature",
     }

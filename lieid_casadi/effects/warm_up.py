@@ -1,7 +1,5 @@
 """Friction that changes while the joint warms up, without a measured temperature."""
 
-from typing import ClassVar
-
 import casadi as ca
 
 from lieid_casadi.effects.effect import Coefficient, Columns, Effect, Shape, ShapeSymbols, Signals
@@ -18,11 +16,11 @@ class WarmUp(Effect):
 
     name = "warm_up"
     unless_measured = "temperature"
-    finding: ClassVar = (
+    finding = (
         "Friction on {joints} increases in the course of a recording",
         "Friction on {joints} decreases in the course of a recording, as in a gear that warms up",
     )
-    change: ClassVar = finding
+    change = finding
     formula = "(f_tv·q̇ + f_tc·sgn(q̇))·(1 − e^{−t/θ})"
     coefficients = (
         Coefficient("f_tv", "N·m·s/rad", meaning="change of viscous friction, warm minus cold"),
@@ -33,7 +31,7 @@ class WarmUp(Effect):
     )
     signals = ("dq", "sign", "time")
     revealed_by = "a cold start and a recording of at least one time constant at working speed"
-    confused_with: ClassVar = {
+    confused_with = {
         "temperature_friction": "similar while the temperature rises steadily; use a temp column",
         "bias_drift": "both grow with time; only warm-up changes sign with the velocity",
     }
