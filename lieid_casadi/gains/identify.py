@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.compiled import compile
 from lieid_casadi.effects import Effect
@@ -349,14 +348,14 @@ def _result(
     )
 
 
-def _involved(hidden: Array) -> NDArray[np.bool_]:
+def _involved(hidden: Array) -> Mask:
     """Mark the parameters that some direction without information involves."""
     largest = np.abs(hidden).max(axis=1, initial=0.0, keepdims=True)
     return np.asarray(np.any(np.abs(hidden) > ZERO * largest, axis=0))
 
 
 def _not_identified(
-    gains: Array, std: Array, moves: NDArray[np.bool_], identifiable: NDArray[np.bool_]
+    gains: Array, std: Array, moves: Mask, identifiable: Mask
 ) -> tuple[GainNotIdentified, ...]:
     """Return the joints without a gain, or with a weak one, and the reasons."""
     parts = []
@@ -376,7 +375,7 @@ def _not_identified(
     return tuple(parts)
 
 
-def _require_load(gains: Array, std: Array, identifiable: NDArray[np.bool_], mass: float) -> None:
+def _require_load(gains: Array, std: Array, identifiable: Mask, mass: float) -> None:
     """Raise if the payload has no visible effect, or if the runs are exchanged."""
     relative = std[identifiable] / np.abs(gains[identifiable])
     if not len(relative) or np.min(relative) > NO_PAYLOAD:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.plant.arm import Arm, Drive, rigid_torques, wrench_torque
 from lieid_casadi.plant.effects import JointState
 
@@ -33,7 +33,7 @@ class TrueMotion:
     rigid: Array  # of the rigid arm, payload and tool wrench included
     dry: Array  # dry friction
     smooth: Array  # all other torques: viscous friction, offset, spring, ripple
-    resting: NDArray[np.bool_]
+    resting: Mask
     temperature: Array  # °C
 
 
@@ -87,7 +87,7 @@ def _motors(
     return link[0] + deflection(t), link[1] + deflection(t, 1), link[2] + deflection(t, 2)
 
 
-def _held(resting: NDArray[np.bool_], seed: int) -> Array:
+def _held(resting: Mask, seed: int) -> Array:
     """Return the fraction of dry friction, −1 to 1, constant during each rest (N, n)."""
     random = np.random.default_rng([seed, 1])
     begins = np.diff(resting, axis=0, prepend=False) & resting

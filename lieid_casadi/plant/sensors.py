@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.errors import RecordingError
 from lieid_casadi.plant.arm import Arm
 from lieid_casadi.plant.effects import (
@@ -99,7 +99,7 @@ def measure_along(
     return measure(arm, motion, sensors or Sensors(rate=None), seed=seed, name=name)
 
 
-def sampled_rows(t: Array, rate: float | None) -> NDArray[np.intp]:
+def sampled_rows(t: Array, rate: float | None) -> Indices:
     """Return the indices nearest to samples at ``rate`` Hz, or all of them for None.
 
     RecordingError: the rate is above that of t.
@@ -112,7 +112,7 @@ def sampled_rows(t: Array, rate: float | None) -> NDArray[np.intp]:
             f"sensors at {rate:g} Hz on a motion at {own:g} Hz; expected at most that"
         )
     ticks = np.arange(int((t[-1] - t[0]) * rate + 1e-9) + 1) * (own / rate)
-    rows: NDArray[np.intp] = np.floor(ticks + 0.5 + 1e-9).astype(np.intp)
+    rows: Indices = np.floor(ticks + 0.5 + 1e-9).astype(np.intp)
     return rows
 
 
@@ -138,7 +138,7 @@ def _encoder(arm: Arm, motion: TrueMotion, sensors: Sensors, random: np.random.G
 def _velocity(
     motion: TrueMotion,
     encoder: Array,
-    rows: NDArray[np.intp],
+    rows: Indices,
     sensors: Sensors,
     random: np.random.Generator,
 ) -> Array | None:

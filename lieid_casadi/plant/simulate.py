@@ -10,9 +10,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.errors import EffectError
 from lieid_casadi.plant.arm import Arm, Drive, rigid_torques, wrench_torque
 from lieid_casadi.plant.effects import EncoderOffset, JointState
@@ -165,7 +164,7 @@ class StepResult:
     rigid: Array
     smooth: Array
     dry: Array
-    resting: NDArray[np.bool_]
+    resting: Mask
 
 
 def motion_of(steps: Sequence[StepResult], t: Array, temperature: Array) -> TrueMotion:
@@ -280,7 +279,7 @@ class Stepper:
         inertia: Array,
         gain: Array,
         direction: Array,
-        stuck: NDArray[np.bool_],
+        stuck: Mask,
         residual: Array,
     ) -> Array:
         drive = self._drive
@@ -297,12 +296,12 @@ class Stepper:
 
 def _revised_signs(
     sign: Array,
-    stuck: NDArray[np.bool_],
-    free: NDArray[np.bool_],
+    stuck: Mask,
+    free: Mask,
     after: Array,
     needed: Array,
     level: Array,
-    changes: NDArray[np.int_],
+    changes: Indices,
 ) -> Array | None:
     """Return signs in which joints that must stick or slip are changed; None if none must."""
     turned = ~stuck & ~free & (after * sign < 0.0)

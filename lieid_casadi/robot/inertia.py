@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
 
@@ -80,19 +80,17 @@ class BodyInertia:
     """Mass (kg), centre of mass (3,) (m) and inertia (3, 3) about it (kg·m²), link axes."""
 
     mass: float
-    com: NDArray[np.float64]
-    inertia: NDArray[np.float64]
+    com: Array
+    inertia: Array
 
 
-def symmetric(six: ArrayLike) -> NDArray[np.float64]:
+def symmetric(six: ArrayLike) -> Array:
     """Return the symmetric (3, 3) matrix of ``Ixx, Ixy, Iyy, Ixz, Iyz, Izz``."""
     xx, xy, yy, xz, yz, zz = np.asarray(six, dtype=float)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def link_parameters(
-    mass: float, com: ArrayLike, inertia_about_com: ArrayLike
-) -> NDArray[np.float64]:
+def link_parameters(mass: float, com: ArrayLike, inertia_about_com: ArrayLike) -> Array:
     """Return the ten link parameters (10,); the inertia (3, 3) has the axes of the link frame."""
     c = np.asarray(com, dtype=float)
     i = np.asarray(inertia_about_com, dtype=float) + mass * _steiner(c)
@@ -107,7 +105,7 @@ def body_inertia(parameters: ArrayLike) -> BodyInertia:
     return BodyInertia(mass, com, symmetric(p[4:]) - mass * _steiner(com))
 
 
-def _steiner(c: NDArray[np.float64]) -> NDArray[np.float64]:
+def _steiner(c: Array) -> Array:
     """Return the inertia (3, 3) of a unit mass at c."""
     return np.asarray(c @ c * np.eye(3) - np.outer(c, c))
 
@@ -128,7 +126,7 @@ def impossible_moments(parameters: ArrayLike | None) -> str | None:
     return None
 
 
-def pseudo_inertia(parameters: ArrayLike) -> NDArray[np.float64]:
+def pseudo_inertia(parameters: ArrayLike) -> Array:
     """Return the pseudo-inertia (4, 4): positive definite iff the body is physically possible.
 
     Wensing, Kim, Slotine, "Linear matrix inequalities for physically consistent inertial
@@ -140,13 +138,13 @@ def pseudo_inertia(parameters: ArrayLike) -> NDArray[np.float64]:
     return np.block([[sigma, p[1:4, None]], [p[None, 1:4], p[:1, None]]])
 
 
-def parameter_transport(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+def parameter_transport(pose: Array) -> Array:
     """Return the matrix (10, 10) that expresses link parameters in the parent frame of a pose."""
     moved = pose @ _UNIT_PSEUDO_INERTIAS @ pose.T
     return np.asarray(np.tensordot(_FROM_PSEUDO_INERTIA, moved, axes=((1, 2), (1, 2))))
 
 
-def _from_pseudo_inertia() -> NDArray[np.float64]:
+def _from_pseudo_inertia() -> Array:
     """Return the tensor (10, 4, 4) that maps a pseudo-inertia to link parameters."""
     tensor = np.zeros((10, 4, 4))
     tensor[0, 3, 3] = 1.0

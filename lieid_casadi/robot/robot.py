@@ -9,8 +9,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
 from lieid_casadi.robot.description import BUNDLED, RobotDescription, bundled_text, read_text
 from lieid_casadi.robot.drive import Drive
@@ -115,7 +116,7 @@ class Robot(RobotDescription):
         return not self.links_without_inertia
 
     @cached_property
-    def link_parameters(self) -> NDArray[np.float64]:
+    def link_parameters(self) -> Array:
         """The nominal link parameters (10 n,).
 
         Raises
@@ -131,12 +132,12 @@ class Robot(RobotDescription):
             )
         return np.concatenate([j.link for j in self.joints if j.link is not None])
 
-    def limit(self, name: str) -> NDArray[np.float64]:
+    def limit(self, name: str) -> Array:
         """Return one limit of all joints (n,), NaN where not stated; names as in `Limits`."""
         return np.array([getattr(j.limits, name) for j in self.joints], dtype=float)
 
     @property
-    def torque_constants(self) -> NDArray[np.float64]:
+    def torque_constants(self) -> Array:
         """N·m/A per joint (n,), NaN where not stated."""
         return np.array([j.torque_constant for j in self.joints], dtype=float)
 

@@ -35,7 +35,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import NominalInertiaWarning, RobotError
@@ -236,11 +235,11 @@ def write_yaml(robot: RobotDescription) -> str:
     )
 
 
-def _numbers(values: NDArray[np.float64]) -> list[float]:
+def _numbers(values: Array) -> list[float]:
     return [float(value) + 0.0 for value in values]  # no -0.0
 
 
-def _pose_as_dict(matrix: NDArray[np.float64]) -> dict[str, list[float]]:
+def _pose_as_dict(matrix: Array) -> dict[str, list[float]]:
     return {"xyz": _numbers(matrix[:3, 3]), "rpy": _numbers(roll_pitch_yaw(matrix[:3, :3]))}
 
 

@@ -14,8 +14,8 @@ from typing import Any, Self
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.errors import RobotError
 
 LONGEST = 1_000_000  # characters
@@ -192,7 +192,7 @@ class Field:
             raise self.error("a number > 0")
         return float(self.value)
 
-    def numbers(self, count: int, *, largest: float = LARGEST) -> NDArray[np.float64]:
+    def numbers(self, count: int, *, largest: float = LARGEST) -> Array:
         """Return a list of numbers (count,)."""
         items = self.items()
         if len(items) != count:

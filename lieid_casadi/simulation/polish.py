@@ -6,10 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.compiled.compiled_model import default_threads
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.effects.command_delay import CommandDelay
@@ -116,7 +115,7 @@ class _Problem:
 
     fit: Fit
     runs: Sequence[Run]
-    columns: NDArray[np.intp]  # of the effects' coefficients
+    columns: Indices  # of the effects' coefficients
     sizes: Array
     lower: Array
     upper: Array
