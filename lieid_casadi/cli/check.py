@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.errors import PremiseError, warning_list
 from lieid_casadi.tables import Table
 
@@ -17,7 +16,7 @@ WRONG = 4  # exit status
 
 
 @command("check", "whether robot and recording belong together")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Test what identification rests on, before any physics is inferred.
 
     That is: mounting, order, signs and zeros of joints, units, the meaning of the torque signal,
@@ -58,7 +57,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
 
 def premises_of(
-    args: argparse.Namespace,
+    args: Args,
     source: lieid.Robot | lieid.Fit,
     recordings: Sequence[lieid.Recording],
     test: Sequence[lieid.Recording] = (),

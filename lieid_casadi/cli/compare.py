@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 
 
 @command("compare", "errors of a fit on recordings, per joint")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Compare the torque of a fit with recordings, joint by joint.
 
     fit FIT: input  fit to compare

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lieid_casadi as lieid
 from lieid_casadi.cli import output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.tables import Table, figures, make_table
 
 if TYPE_CHECKING:
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @command("demo", "the whole workflow on a simulated arm")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Run the whole workflow on a simulated arm: from excitation and diagnosis to C code.
 
     -o/--output DIR: folder = lieid-demo  folder to write

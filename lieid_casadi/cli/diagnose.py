@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, options, output
 from lieid_casadi.cli.check import premises_of
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.errors import LieidWarning, UsageError
 from lieid_casadi.tables import Table
 
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     "which effects are missing, or what has changed since a fit",
     usage="lieid diagnose ROBOT|FIT --train A… [--test B…] [-o fit.json] | FIT REC…",
 )
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Find the effects that a model lacks, or what has changed since a fit.
 
     With --train, the effects that a model lacks (with a FIT, the search starts from the effects of
@@ -56,7 +55,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
     )
 
 
-def _missing(args: argparse.Namespace) -> tuple[lieid.Diagnosis, list[dict[str, Any]]]:
+def _missing(args: Args) -> tuple[lieid.Diagnosis, list[dict[str, Any]]]:
     """Return the diagnosis and the findings of the check before it."""
     if args.recordings:
         raise UsageError(
@@ -88,7 +87,7 @@ def _missing(args: argparse.Namespace) -> tuple[lieid.Diagnosis, list[dict[str, 
     return found, premises
 
 
-def _changed(args: argparse.Namespace) -> tuple[lieid.Diagnosis, list[dict[str, Any]]]:
+def _changed(args: Args) -> tuple[lieid.Diagnosis, list[dict[str, Any]]]:
     """Return the diagnosis and the findings of the check before it."""
     if not args.recordings or args.test:
         raise UsageError(
@@ -110,7 +109,7 @@ def _changed(args: argparse.Namespace) -> tuple[lieid.Diagnosis, list[dict[str, 
     return found, premises
 
 
-def _options(args: argparse.Namespace) -> DiagnosisOptions:
+def _options(args: Args) -> DiagnosisOptions:
     """Return the thresholds, with the least fall of the error if it is stated."""
     from lieid_casadi.diagnosis import DiagnosisOptions
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.excite import INTERRUPTED
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.errors import UsageError
 from lieid_casadi.tables import Table, make_table
 
 
 @command("discriminate", "design the trajectory that separates rival effects")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Design the trajectory that separates rival effects, and state how long it must be.
 
     fit FIT: input  fit of the arm

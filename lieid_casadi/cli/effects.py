@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 import lieid_casadi as lieid
 from lieid_casadi.cli import output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.tables import Table, make_table
 
 
 @command("effects", "the library of effects, or one effect of it")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """List the library of effects, or describe one effect.
 
     name [NAME]  effect to describe; default: list all effects

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.tables import make_table
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ INTERRUPTED = 130  # with a trajectory kept
 
 
 @command("excite", "design an optimal excitation trajectory")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Design a trajectory from which the parameters can be identified, within the robot's limits.
 
     @ROBOT_OR_FIT @FOLDER @EFFECTS @EFFECTS_FILE
@@ -78,7 +77,7 @@ def run(args: argparse.Namespace) -> output.Outcome:
 
 
 def _sweep(
-    args: argparse.Namespace, arm: lieid.Model | lieid.Fit, limits: list[Limit], folder: Path
+    args: Args, arm: lieid.Model | lieid.Fit, limits: list[Limit], folder: Path
 ) -> output.Outcome:
     """Design runs of single joints at constant speeds."""
     from lieid_casadi.excitation import friction_sweep

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import sys
 import time
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import inputs, output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.errors import LieidError, NoSolution, UsageError
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     "record, diagnose and design the next motion until every effect is named",
     usage="lieid experiment ROBOT|FIT [REC…] --record 'COMMAND {trajectory} {recording}' -o DIR",
 )
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Move the robot by your command, diagnose, and design the next motion, until all is named.
 
     The next motion separates what is still open. A second call with the same folder resumes.
@@ -112,7 +111,7 @@ def _confirmed(motion: PlannedMotion) -> bool:
 class _Page:
     """The experiment's page, served by a process of its own, and the answers of its user."""
 
-    def __init__(self, args: argparse.Namespace, robot: Robot) -> None:
+    def __init__(self, args: Args, robot: Robot) -> None:
         from lieid_casadi.workbench.arm import arm_meshes
         from lieid_casadi.workbench.experiment_page import ExperimentState, serve_experiment
         from lieid_casadi.workbench.server import open_in_browser

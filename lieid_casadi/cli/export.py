@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-
 import lieid_casadi as lieid
 from lieid_casadi.cli import output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.errors import UsageError
 
 
 @command("export", "write a fit as C code, as a URDF or as a MuJoCo model")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Write a fit as C code for a controller, or as a URDF or a MuJoCo model for simulators.
 
     fit FIT: input  fit to export

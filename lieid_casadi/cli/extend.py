@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 
 
 @command("extend", "add an effect, fit again, compare the errors")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Add effects to a fit, fit again, and compare the errors before and after.
 
     fit FIT: input  fit to extend

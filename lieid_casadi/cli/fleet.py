@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import subprocess
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.cli import output
 from lieid_casadi.cli.check import WRONG
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.errors import UsageError
 from lieid_casadi.tables import Table
 
@@ -30,7 +29,7 @@ MOST_SHOWN = 10  # faults and silent arms that are printed; the history has all
     "diagnose the recordings of many arms, every night",
     usage="lieid fleet FLEET.yaml -o HISTORY.duckdb [--scheduler ADDRESS] [--since DATE]",
 )
-def run(args: argparse.Namespace) -> int:
+def run(args: Args) -> int:
     """Diagnose the recordings of many arms, and keep the results in a history.
 
     It runs on this machine or a Dask cluster. See also: lieid fleet report, lieid fleet export,
@@ -103,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
     return status.get((bool(new), silent), 0) if args.exit_code else 0
 
 
-def _print_run(args: argparse.Namespace, result: FleetRun) -> None:
+def _print_run(args: Args, result: FleetRun) -> None:
     """Print counts, faults, and arms that have not recorded."""
     counts = ", ".join(f"{number} {status}" for status, number in sorted(result.counts.items()))
     output.show(
@@ -156,7 +155,7 @@ def _log_file(path: str | None) -> Iterator[logging.Logger]:
 
 
 @command("fleet report", "alarms and trends of a fleet")
-def report(args: argparse.Namespace) -> output.Outcome:
+def report(args: Args) -> output.Outcome:
     """Print the open alarms of a fleet and write a self-contained report with trends of every arm.
 
     @HISTORY
@@ -183,7 +182,7 @@ def report(args: argparse.Namespace) -> output.Outcome:
 
 
 @command("fleet check", "whether a fleet file is plausible")
-def check(args: argparse.Namespace) -> output.Outcome:
+def check(args: Args) -> output.Outcome:
     """Check a fleet file before its first night.
 
     That is: its entries (units of payloads and torque constants, recordings of two arms, files that
@@ -218,7 +217,7 @@ def check(args: argparse.Namespace) -> output.Outcome:
 
 
 @command("fleet export", "a fleet's state for Prometheus")
-def export(args: argparse.Namespace) -> output.Outcome:
+def export(args: Args) -> output.Outcome:
     """Write the state of a fleet in the text format of node-exporter's textfile collector.
 
     @HISTORY
@@ -233,7 +232,7 @@ def export(args: argparse.Namespace) -> output.Outcome:
 
 
 @command("fleet acknowledge", "close alarms of an arm after a repair")
-def acknowledge(args: argparse.Namespace) -> output.Outcome:
+def acknowledge(args: Args) -> output.Outcome:
     """Close the open alarms of an arm and start a new baseline.
 
     Nights after the repair are judged against each other, not against those before it. A run that
@@ -279,7 +278,7 @@ def acknowledge(args: argparse.Namespace) -> output.Outcome:
 
 
 @command("fleet backup", "one complete copy of a history")
-def backup(args: argparse.Namespace) -> output.Outcome:
+def backup(args: Args) -> output.Outcome:
     """Write one file with everything that a history contains, also while a run is in progress.
 
     @HISTORY
@@ -293,7 +292,7 @@ def backup(args: argparse.Namespace) -> output.Outcome:
 
 
 @command("fleet retire", "take an arm out of service")
-def retire(args: argparse.Namespace) -> output.Outcome:
+def retire(args: Args) -> output.Outcome:
     """Take an arm out of reports, metrics and expected nights, and close its alarms.
 
     @CHANGED_HISTORY

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.errors import UsageError
 
 
 @command("friction", "friction of one joint from its motion in both directions")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Determine the friction of one joint from its motion in both directions, and fit a model.
 
     @ROBOT

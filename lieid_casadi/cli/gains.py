@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
-
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.errors import LieidWarning
 from lieid_casadi.tables import Table
 
 
 @command("gains", "drive gains in N·m/A, from currents and a payload of known mass")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Determine drive gains in N·m/A from motor currents with and without a known payload.
 
     @ROBOT

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -10,13 +9,13 @@ from typing import Any
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.errors import LieidWarning, UsageError
 from lieid_casadi.tables import Table, figures, make_table
 
 
 @command("identify", "fit a model to recordings")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Identify the base parameters and the effects of a model from recordings.
 
     @ROBOT

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import lieid_casadi as lieid
 from lieid_casadi.cli import output
-from lieid_casadi.cli.options import given
+from lieid_casadi.cli.options import Args, given
 from lieid_casadi.errors import UsageError
 
 if TYPE_CHECKING:
@@ -54,12 +53,12 @@ def exception_in(path: str, error: BaseException) -> str | None:
     return f"{path}, line {lines[-1]}: {type(error).__name__}: {error}"
 
 
-def is_fit(args: argparse.Namespace) -> bool:
+def is_fit(args: Args) -> bool:
     """Whether ROBOT|FIT is a fit."""
     return Path(args.robot).suffix.lower() == ".json"
 
 
-def robot_of(args: argparse.Namespace) -> lieid.Robot:
+def robot_of(args: Args) -> lieid.Robot:
     """Return the robot that ROBOT, --tip and --lock name, with the drive laws of the options."""
     if is_fit(args):
         robot = lieid.Fit.load(args.robot).model.robot
@@ -70,13 +69,13 @@ def robot_of(args: argparse.Namespace) -> lieid.Robot:
     return _limited(args, robot if drives is None else robot.with_drives(drives))
 
 
-def _limited(args: argparse.Namespace, robot: lieid.Robot) -> lieid.Robot:
+def _limited(args: Args, robot: lieid.Robot) -> lieid.Robot:
     """Return the robot with the velocity limits of --velocity, of commands that have it."""
     velocity = getattr(args, "velocity", None)
     return robot.with_velocity_limits(velocity) if velocity else robot
 
 
-def fit_of(args: argparse.Namespace, path: str) -> lieid.Fit:
+def fit_of(args: Args, path: str) -> lieid.Fit:
     """Return a fit, whose robot has the velocity limits of --velocity."""
     fit = lieid.Fit.load(path)
     own = fit.model
@@ -86,9 +85,7 @@ def fit_of(args: argparse.Namespace, path: str) -> lieid.Fit:
     return replace(fit, model=limited)
 
 
-def correction_of(
-    args: argparse.Namespace, n: int, source: lieid.Robot | lieid.Fit | None = None
-) -> Correction:
+def correction_of(args: Args, n: int, source: lieid.Robot | lieid.Fit | None = None) -> Correction:
     """Return what the options correct; without any, what a fit's recordings were corrected by."""
     from lieid_casadi.premises.correction import OPTIONS, correction_of
 
@@ -105,14 +102,12 @@ def correction_of(
     return correction_of(texts, n)
 
 
-def model_of(args: argparse.Namespace) -> lieid.Model:
+def model_of(args: Args) -> lieid.Model:
     """Return the model of the robot with --effects."""
     return lieid.Model(robot_of(args), args.effects)
 
 
-def model_for(
-    args: argparse.Namespace, robot: lieid.Robot, recordings: Sequence[lieid.Recording]
-) -> lieid.Model:
+def model_for(args: Args, robot: lieid.Robot, recordings: Sequence[lieid.Recording]) -> lieid.Model:
     """Return the model with --effects, or with the default effects for the recordings' torque."""
     from lieid_casadi.identification.identify import default_effects
 
@@ -129,7 +124,7 @@ def model_for(
 
 
 def fit_and_recordings(
-    args: argparse.Namespace, paths: Sequence[str] | None = None
+    args: Args, paths: Sequence[str] | None = None
 ) -> tuple[lieid.Fit, list[lieid.Recording]]:
     """Return FIT and the recordings REC…, or those of other paths."""
     fit = lieid.Fit.load(args.fit)
@@ -138,7 +133,7 @@ def fit_and_recordings(
 
 def recordings_of(
     paths: Sequence[str],
-    args: argparse.Namespace,
+    args: Args,
     source: lieid.Robot | lieid.Fit,
     *,
     any_unit: bool = False,
@@ -167,16 +162,14 @@ def recordings_of(
     return recordings
 
 
-def currents_of(
-    paths: Sequence[str], args: argparse.Namespace, robot: lieid.Robot
-) -> list[lieid.Recording]:
+def currents_of(paths: Sequence[str], args: Args, robot: lieid.Robot) -> list[lieid.Recording]:
     """Load recordings whose currents stay currents."""
     correction = correction_of(args, robot.n)
     options = _reading_options(args, robot)
     return [correction.of_recording(lieid.Recording.load(path, **options)) for path in paths]
 
 
-def drives_of(args: argparse.Namespace, robot: lieid.Robot) -> tuple[lieid.Drive, ...] | None:
+def drives_of(args: Args, robot: lieid.Robot) -> tuple[lieid.Drive, ...] | None:
     """Return the control laws that the options state, else those of the robot."""
     stiffness, damping, servo = (getattr(args, x, None) for x in ("stiffness", "damping", "servo"))
     if stiffness is None and servo is None:
@@ -226,7 +219,7 @@ def _per_joint(option: str, values: list[Value], n: int, what: str) -> list[Valu
     return values * n if len(values) == 1 else values
 
 
-def _torque_options(args: argparse.Namespace, robot: lieid.Robot) -> dict[str, Any]:
+def _torque_options(args: Args, robot: lieid.Robot) -> dict[str, Any]:
     """Return the arguments of `Recording.load` that state the source of torque."""
     constants = None
     if args.torque_constants is not None:
@@ -240,7 +233,7 @@ def _torque_options(args: argparse.Namespace, robot: lieid.Robot) -> dict[str, A
     return {"torque_constants": constants, "drives": drives_of(args, robot)}
 
 
-def _as_in_training(args: argparse.Namespace, fit: lieid.Fit) -> dict[str, Any]:
+def _as_in_training(args: Args, fit: lieid.Fit) -> dict[str, Any]:
     """Return the arguments of `Recording.load` with which a fit's recordings were read."""
     used, options = fit.provenance, dict[str, Any]()
     if args.torque_constants is None and used.torque_constants is not None:
@@ -250,7 +243,7 @@ def _as_in_training(args: argparse.Namespace, fit: lieid.Fit) -> dict[str, Any]:
     return options
 
 
-def _reading_options(args: argparse.Namespace, robot: lieid.Robot) -> dict[str, Any]:
+def _reading_options(args: Args, robot: lieid.Robot) -> dict[str, Any]:
     """Return the arguments of `Recording.load` that do not concern torque."""
     import numpy as np
 
@@ -288,7 +281,7 @@ def _require_drive_law(recording: lieid.Recording) -> None:
         )
 
 
-def limits_of(args: argparse.Namespace, robot: lieid.Robot) -> list[Limit]:
+def limits_of(args: Args, robot: lieid.Robot) -> list[Limit]:
     """Return the default limits with the changes that the options specify."""
     from lieid_casadi.excitation import capsules_of, load_capsules
 
@@ -314,7 +307,7 @@ def limits_of(args: argparse.Namespace, robot: lieid.Robot) -> list[Limit]:
     return limits
 
 
-def arm_of(args: argparse.Namespace) -> tuple[lieid.Model | lieid.Fit, lieid.Robot]:
+def arm_of(args: Args) -> tuple[lieid.Model | lieid.Fit, lieid.Robot]:
     """Return the fit that ROBOT|FIT names, or the model of a robot with --effects; its robot."""
     if not is_fit(args):
         model = model_of(args)

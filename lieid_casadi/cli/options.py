@@ -36,6 +36,8 @@ from typing import Any
 
 from lieid_casadi.errors import UsageError
 
+Args = argparse.Namespace  # the values of the options of one call
+
 
 class InputPath(str):
     """A file or folder that a command reads; ``REC@T0:T1`` is a part of a recording."""
@@ -115,7 +117,7 @@ KINDS: dict[str, Callable[[str], Any]] = {
 }
 
 
-def check_paths(args: argparse.Namespace) -> None:
+def check_paths(args: Args) -> None:
     """Refuse outputs that cannot be written or that are inputs, before any work is done."""
     from lieid_casadi.atomic_file import check_file
     from lieid_casadi.output_folder import check_folder
@@ -138,7 +140,7 @@ def check_paths(args: argparse.Namespace) -> None:
         seen.add(place)
 
 
-def writes_to_stdout(args: argparse.Namespace) -> bool:
+def writes_to_stdout(args: Args) -> bool:
     """Return whether a file that a command writes is standard output, as ``/dev/stdout``."""
     for value in _values(args):
         if isinstance(value, OutputFile):
@@ -148,7 +150,7 @@ def writes_to_stdout(args: argparse.Namespace) -> bool:
     return False
 
 
-def _values(args: argparse.Namespace) -> list[object]:
+def _values(args: Args) -> list[object]:
     """Return the values of all options, one by one."""
     values: list[object] = []
     for value in vars(args).values():
@@ -186,7 +188,7 @@ class Command:
     """A command of ``lieid``: its line in the list of commands, and the function that runs it."""
 
     help: str
-    run: Callable[[argparse.Namespace], Any]
+    run: Callable[[Args], Any]
     usage: str | None = None
 
     def add_to(self, name: str, commands: Any) -> None:
@@ -198,7 +200,7 @@ class Command:
         parser.set_defaults(run=self.run)
 
 
-Run = Callable[[argparse.Namespace], Any]
+Run = Callable[[Args], Any]
 
 
 def command(name: str, help: str, *, usage: str | None = None) -> Callable[[Run], Run]:
@@ -211,7 +213,7 @@ def command(name: str, help: str, *, usage: str | None = None) -> Callable[[Run]
     return registered
 
 
-def given(options: str, args: argparse.Namespace) -> dict[str, Any]:
+def given(options: str, args: Args) -> dict[str, Any]:
     """Return those options, as written, whose values are not their defaults, and the values."""
     parser = argparse.ArgumentParser()
     _add(parser, options)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import sys
@@ -13,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import lieid_casadi as lieid
+from lieid_casadi.cli.options import Args
 from lieid_casadi.errors import LieidWarning
 from lieid_casadi.tables import Table
 
@@ -124,7 +124,7 @@ class Outcome:
     folder: Callable[[], object] | None = None  # writes the folder of -o, before the files
     status: int = 0
 
-    def finish(self, args: argparse.Namespace) -> int:
+    def finish(self, args: Args) -> int:
         """Write all files, print, and return the exit status."""
         from lieid_casadi.atomic_file import atomic_binary
 
@@ -139,7 +139,7 @@ class Outcome:
         show(*self.shown)
         return self.status
 
-    def _contents(self, args: argparse.Namespace) -> Iterator[tuple[str, bytes]]:
+    def _contents(self, args: Args) -> Iterator[tuple[str, bytes]]:
         """Yield path and content of the files that the options name."""
         from lieid_casadi.identification.fit import content_of
 

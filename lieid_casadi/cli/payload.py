@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
 from lieid_casadi.cli.check import premises_of
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 
 
 @command("payload", "mass, centre of mass and inertia of the payload")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Identify mass, centre of mass and inertia of a payload with a fit that was made without it.
 
     fit FIT: input  fit made without the payload

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
-
 from lieid_casadi.cli import inputs, output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 
 
 @command("predict", "torque of a fit along a recording")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Compute the torque of a fit at the times of a recording.
 
     fit FIT: input  fit to evaluate

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.tables import Table, make_table
 
 
 @command("sample", "physically consistent draws from the posterior of a fit")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Draw physically consistent parameters from the posterior of a fit of method feasible.
 
     Rivals that the recordings do not separate from it can be drawn, too. The samples are for

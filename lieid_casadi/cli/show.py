@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 from lieid_casadi.errors import warning_list
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.tables import Table, make_table, std_text, value_text
 
 
 @command("show", "joints, screws, limits, base parameters, values of a fit")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Show the joints, screws and limits of a robot, and its base parameters.
 
     Of a fit, also its effects and the values of all parameters.

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-
 import lieid_casadi as lieid
 from lieid_casadi.cli import inputs, output
-from lieid_casadi.cli.options import command
+from lieid_casadi.cli.options import Args, command
 
 
 @command("simulate", "forward simulation of a fit under recorded torques or commands")
-def run(args: argparse.Namespace) -> output.Outcome:
+def run(args: Args) -> output.Outcome:
     """Integrate a fit from measured states under the torques or commands of recordings.
 
     It is reported how far the simulated motion leaves the measured one.
