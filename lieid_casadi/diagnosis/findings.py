@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lieid_casadi.diagnosis.candidates import follows_temperature, is_delay
+from lieid_casadi.diagnosis.candidates import follows_temperature, is_delay, is_lead
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.step import Difference, Step, Unexplained
 from lieid_casadi.effects.registry import REGISTER, make
@@ -149,6 +149,8 @@ def _selected(steps: Sequence[Step]) -> str:
         if step.status == "one_of" and not step.rivals:
             effect = make(step.effect) if step.effect in REGISTER else None
             if effect is not None and is_delay(effect):
+                if is_lead(effect, step.joints, step.parameters[effect.coefficients[0].name]):
+                    return "; friction at reversals that is not of the model's form may look so"
                 return "; a joint that sticks for a moment at each reversal may look the same"
             sure = step.evidence.certainty >= DiagnosisOptions().name_deviations
             if effect is not None and follows_temperature(effect) and sure:

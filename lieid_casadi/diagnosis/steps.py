@@ -9,7 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature, is_form
+from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature, is_form, is_lead
 from lieid_casadi.diagnosis.evidence import Slot
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -78,6 +78,7 @@ class Accepted:
         certain = slot.selected == 1.0 and slot.deviations >= options.name_deviations
         if certain and follows_temperature(candidate.effect):
             certain = not changes_at_once(found, slot, others, options.rival_deviations)
+        certain = certain and not is_lead(candidate.effect, candidate.joints, slot.values[0])
         return cls(
             candidate,
             found.paths.columns.shapes(slot.group),

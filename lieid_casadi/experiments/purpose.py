@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lieid_casadi.diagnosis import Diagnosis
-from lieid_casadi.diagnosis.candidates import follows_temperature
+from lieid_casadi.diagnosis.candidates import follows_temperature, is_lead
 from lieid_casadi.diagnosis.findings import difference_sentence
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.step import Step
@@ -83,7 +83,7 @@ def purposes(
         why = f"No effect of the library describes the error of {text} over {', '.join(signals)}."
         found.append(Purpose("range", groups, signals, why))
     options = DiagnosisOptions()
-    doubtful = {s.label: s.evidence.certainty for s in diagnosis.steps if _may_be_decided(s)}
+    doubtful = {in_question(s): s.evidence.certainty for s in diagnosis.steps if _may_be_decided(s)}
     doubtful |= {
         label: deviations
         for label, deviations in diagnosis.undecided
@@ -112,13 +112,21 @@ def _may_be_decided(step: Step) -> bool:
     time that is left, for the worse of both ways round.
     """
     if step.status == "one_of":
-        return not step.rivals or any(rival.kind == "data" for rival in step.rivals)
+        lead = is_lead(make(step.effect), step.joints, next(iter(step.parameters.values()), 0.0))
+        return not (lead or step.rivals) or any(rival.kind == "data" for rival in step.rivals)
     return step.status == "shape" and not _is_established(step)
 
 
+def in_question(step: Step) -> str:
+    """Return the effect that further data decide on: of a function, that of the library in it."""
+    library = [r.label for r in step.rivals if step.status == "shape" and r.effect != step.effect]
+    return library[0] if library else step.label
+
+
 def _is_established(step: Step) -> bool:
-    """Whether an effect is found whatever part of the data is left out."""
-    return step.evidence.selected_with_rivals == 1.0
+    """Whether a function is found whatever part of the data is left out, or another function."""
+    alone = in_question(step) != step.label
+    return (step.evidence.selected if alone else step.evidence.selected_with_rivals) == 1.0
 
 
 def open_groups(diagnosis: Diagnosis) -> list[Group]:
@@ -174,7 +182,7 @@ def remaining(diagnosis: Diagnosis) -> list[str]:
         if step.status == "shape":
             parts.append(f"{step.label}: no effect of the library describes it.")
         elif step.status == "one_of" and not step.rivals:
-            parts.append(f"{step.label}: the recordings do not suffice to be certain of it.")
+            parts.append(f"{step.label}: its name is not certain.")
         elif step.status == "one_of" and all(rival.kind == "exact" for rival in step.rivals):
             parts.append(f"No data can separate {' from '.join(group)}.")
         elif step.status == "one_of":

@@ -75,7 +75,7 @@ KINDS = {
 #: A world for each kind on each arm, the arms in turn; then the same with other draws.
 WORLDS = [
     (kind, ("two_link", "panda")[(k + turn) % 2], turn)
-    for turn in range(24)
+    for turn in range(28)
     for k, kind in enumerate(KINDS)
 ]
 

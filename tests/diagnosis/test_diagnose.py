@@ -218,6 +218,17 @@ def test_a_delay_that_resembles_late_friction_is_added_without_a_certain_name():
     assert "a joint that sticks for a moment at each reversal may look the same" in alone.sentence
 
 
+def test_a_torque_that_leads_one_joint_has_no_certain_name():
+    """Drives are late, not early; LuGre's friction, imitated by two effects, left such a torque."""
+    arm = arm_with().with_effects(plant.TorqueDelay(1, delay=-0.03))
+    diagnosis = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2))
+    (step,) = diagnosis.steps
+    assert (step.label, step.status, step.rivals) == ("torque_delay:2", "one_of", ())
+    assert step.parameters["delta"] == pytest.approx(-0.03, abs=0.002)
+    assert step.evidence.certainty > 3.0
+    assert "friction at reversals that is not of the model's form may look so" in diagnosis.sentence
+
+
 def test_friction_that_changes_at_one_instant_is_no_certain_warm_up():
     """A gradual change is one; a sudden one, which is no effect of the library, looks similar."""
     gradual = plant.WarmUp(0, change=-0.6, time_constant=4.0)

@@ -179,7 +179,7 @@ def test_purposes(ambiguous):
     assert remaining(exact) == ["No data can separate stribeck:1 from armature:1."]
     alone = replace(ambiguous, steps=(replace(step, rivals=()),))  # not found in all parts
     assert [p.kind for p in purposes(alone, [excitation])] == ["evidence"]
-    assert remaining(alone) == [f"{step.label}: the recordings do not suffice to be certain of it."]
+    assert remaining(alone) == [f"{step.label}: its name is not certain."]
     apart = Difference("offset:1", "offset", (0,), "b", {"f_b": 1.0}, {"f_b": "N·m"}, True)
     assert len(remaining(replace(ambiguous, steps=(), differing=(apart,)))) == 1
     shape = replace(step, label="smooth/dq:1", status="shape", depends_on=("dq1",), rivals=())
@@ -190,6 +190,14 @@ def test_purposes(ambiguous):
     doubtful = replace(shape, evidence=replace(step.evidence, selected_with_rivals=0.9))
     (further,) = purposes(replace(ambiguous, steps=(doubtful,)), [excitation])
     assert (further.kind, further.groups) == ("evidence", (("smooth/dq:1",),))
+    # or an effect of the library takes its place there: it is the one to be shown
+    rival = Rival("load_friction:1", "load_friction", (0,), "data")
+    selected = replace(step.evidence, selected=0.3, selected_with_rivals=1.0)
+    imitated = replace(shape, effect="smooth", rivals=(rival,), evidence=selected)
+    (further,) = purposes(replace(ambiguous, steps=(imitated,)), [excitation])
+    assert (further.kind, further.groups) == ("evidence", (("load_friction:1",),))
+    lead = replace(step, effect="torque_delay", parameters={"delta": -0.008}, rivals=())
+    assert purposes(replace(ambiguous, steps=(lead,)), [excitation]) == []  # no motion decides
 
 
 @pytest.fixture(scope="module")
@@ -244,7 +252,7 @@ def test_one_length_without_a_motion_leaves_the_others(
 
     monkeypatch.setattr(motion, "excite", short_ones)
     made = planned(design, Purpose("excitation"), ambiguous.fit, [given], tmp_path)
-    assert np.isclose(made.duration - made.probe, [17.0 / 2, 17.0 / 3], atol=0.01).any()
+    assert np.isclose(made.duration - made.probe, [17.0 / 2, 17.0 / 4], atol=0.01).any()
 
 
 def test_a_motion_for_rivals_separates_them(design, ambiguous, given, tmp_path):
