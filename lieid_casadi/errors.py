@@ -6,7 +6,8 @@ field of every result, so that a suspicious recording is reported beside its num
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 
 class LieidError(ValueError):
@@ -263,6 +264,15 @@ class NotCountedWarning(LieidWarning):
 
 class FrictionChangedWarning(LieidWarning):
     """Friction that differs from that of the fit."""
+
+
+@contextmanager
+def of_extra(extra: str, need: str) -> Iterator[None]:
+    """Raise `MissingDependency` if a package that an extra installs cannot be imported."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingDependency(f"{need}: pip install 'lieid-casadi[{extra}]'") from error
 
 
 def warning_list(warnings: Sequence[LieidWarning]) -> list[dict[str, str]]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lieid_casadi import __version__
-from lieid_casadi.errors import ClusterLost, FleetError, MissingDependency
+from lieid_casadi.errors import ClusterLost, FleetError, of_extra
 from lieid_casadi.fleet.arm_night import run_arm_night
 from lieid_casadi.fleet.night_result import ArmNight, Batch, NightResult
 from lieid_casadi.messages import reason_of
@@ -51,13 +51,9 @@ class RunOptions:
 @contextlib.contextmanager
 def dask_client(options: RunOptions) -> Iterator[Any]:
     """Client of the given Dask cluster, or of one on this machine that ends with the context."""
-    try:
+    with of_extra("fleet", "fleets need dask; install it with"):
         import dask
         from distributed import Client, LocalCluster
-    except ImportError:
-        raise MissingDependency(
-            "fleets need dask; install it with: pip install 'lieid-casadi[fleet]'"
-        ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     settings = LOCAL_SETTINGS | {"distributed.scheduler.allowed-failures": options.losses}
     with dask.config.set(settings), contextlib.ExitStack() as stack:

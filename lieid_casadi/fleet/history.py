@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lieid_casadi.atomic_file import atomic_binary, check_file, reported
-from lieid_casadi.errors import FleetError, MissingDependency
+from lieid_casadi.errors import FleetError, of_extra
 from lieid_casadi.fleet.night_result import ROWS, Batch
 from lieid_casadi.messages import reason_of
 
@@ -372,12 +372,8 @@ def _is_at(path: Path, status: os.stat_result) -> bool:
 
 
 def _connect(opened: Path, path: str, read_only: bool) -> DuckDBPyConnection:
-    try:
+    with of_extra("fleet", "fleets need duckdb; install it with"):
         import duckdb
-    except ImportError:
-        raise MissingDependency(
-            "fleets need duckdb; install it with: pip install 'lieid-casadi[fleet]'"
-        ) from None
     try:
         return duckdb.connect(str(opened), read_only=read_only, config={"memory_limit": MEMORY})
     except duckdb.Error as error:

@@ -11,7 +11,7 @@ from pathlib import Path
 from re import Pattern
 from typing import Any, TypeVar
 
-from lieid_casadi.errors import FleetError, MissingDependency
+from lieid_casadi.errors import FleetError, MissingDependency, of_extra
 from lieid_casadi.messages import reason_of
 
 T = TypeVar("T")
@@ -95,12 +95,8 @@ def night_of(file: RecordingFile, pattern: Pattern[str] | None) -> date:
 
 
 def _file_system(location: str) -> tuple[Any, str]:
-    try:
+    with of_extra("fleet", "fleets need fsspec; install it with"):
         import fsspec
-    except ImportError:
-        raise MissingDependency(
-            "fleets need fsspec; install it with: pip install 'lieid-casadi[fleet]'"
-        ) from None
     try:
         system, path = fsspec.core.url_to_fs(location)
     except ImportError as error:  # such as s3fs for s3://

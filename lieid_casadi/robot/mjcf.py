@@ -15,10 +15,10 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import (
     LieidWarning,
     LockedBranchWarning,
-    MissingDependency,
     MissingMeshWarning,
     NotReadWarning,
     RobotError,
+    of_extra,
 )
 from lieid_casadi.messages import names_text, reason_of
 from lieid_casadi.robot.description import (
@@ -54,12 +54,8 @@ def read_mjcf(
     actuators and the dynamics of actuators are not read either, and named in the warnings. Meshes
     that are missing are left out.
     """
-    try:
+    with of_extra("mujoco", f"{path}: MuJoCo models need mujoco"):
         import mujoco
-    except ImportError as error:
-        raise MissingDependency(
-            f"{path}: MuJoCo models need mujoco: pip install 'lieid-casadi[mujoco]'"
-        ) from error
     files = _require_bounded(Path(path))
     try:
         spec = mujoco.MjSpec.from_file(str(path))

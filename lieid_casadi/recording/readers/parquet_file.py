@@ -12,7 +12,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.atomic_file import atomic_binary
-from lieid_casadi.errors import LargeFileWarning, MissingDependency
+from lieid_casadi.errors import LargeFileWarning, of_extra
 from lieid_casadi.recording.measurement import Measurement
 from lieid_casadi.recording.readers import registry
 from lieid_casadi.recording.readers.columns import (
@@ -94,13 +94,9 @@ def memory_bytes() -> int:
 
 def import_pyarrow(file: Path) -> tuple[Any, Any]:
     """Return pyarrow and its reader of Parquet."""
-    try:
+    with of_extra("parquet", f"{file}: Parquet needs pyarrow"):
         import pyarrow
         import pyarrow.parquet as parquet
-    except ImportError as error:
-        raise MissingDependency(
-            f"{file}: Parquet needs pyarrow: pip install 'lieid-casadi[parquet]'"
-        ) from error
     return pyarrow, parquet
 
 

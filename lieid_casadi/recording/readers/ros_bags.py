@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.errors import MissingDependency, RecordingError
+from lieid_casadi.errors import RecordingError, of_extra
 from lieid_casadi.messages import names_text, shortened
 from lieid_casadi.recording.measurement import Measurement
 from lieid_casadi.recording.readers import registry
@@ -84,12 +84,8 @@ FORMAT = registry.RecordingFormat(
 
 def _messages(file: Path, options: registry.ReadOptions) -> Iterator[_JointState]:
     """Yield the messages of the topic."""
-    try:
+    with of_extra("ros", f"{file}: bags and MCAP need rosbags"):
         from rosbags.highlevel import AnyReader
-    except ImportError as error:
-        raise MissingDependency(
-            f"{file}: bags and MCAP need rosbags: pip install 'lieid-casadi[ros]'"
-        ) from error
     with (
         registry.library_errors(file, EXPECTED),
         AnyReader([file], default_typestore=_type_store()) as reader,
