@@ -356,7 +356,7 @@ def _arguments(name: str, payload: bool) -> list[str]:
 def _advance(fit: Fit, made: ExportExpressions, numbers: dict[str, FunctionInput]) -> FunctionBody:
     """Return the body that computes the states at a sample from those at the sample before."""
     before = ExportExpressions(fit, made.values)
-    past = _signal_inputs(fit, before, of="state->before.")
+    past = signal_inputs(fit, before, of="state->before.")
     past["load"] = each(before.load, "state->before_load[{j}]")
     inputs = _sample_inputs(fit, made) | numbers
     inputs["load"] = each(made.load, "load[{j}]")
@@ -376,7 +376,7 @@ def _motion_inputs(motion: Motion, *, of: str = "") -> dict[str, FunctionInput]:
     }
 
 
-def _signal_inputs(fit: Fit, symbols: ExportExpressions, *, of: str) -> dict[str, FunctionInput]:
+def signal_inputs(fit: Fit, symbols: ExportExpressions, *, of: str) -> dict[str, FunctionInput]:
     """Return the inputs of functions of a whole sample; ``of``: its C, such as ``sample->``."""
     mean = fit.temperature_mean
     warmth = [
@@ -393,4 +393,4 @@ def _signal_inputs(fit: Fit, symbols: ExportExpressions, *, of: str) -> dict[str
 def _sample_inputs(fit: Fit, made: ExportExpressions) -> dict[str, FunctionInput]:
     """Return the inputs of functions of the sample and the state."""
     states = {"states": each(made.states, "state->values[{j}]")}
-    return _signal_inputs(fit, made, of="sample->") | states
+    return signal_inputs(fit, made, of="sample->") | states

@@ -14,8 +14,9 @@ from lieid_casadi.exporters.c.functions import (
     SAMPLE_ARGUMENTS,
     WITHOUT_NUMBERS,
     ExportExpressions,
+    signal_inputs,
 )
-from lieid_casadi.expressions.model_functions import ramp
+from lieid_casadi.expressions.effect_function import sign_of
 from lieid_casadi.expressions.torque import Values
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot.inertia import parameter_transport
@@ -38,7 +39,7 @@ def self_test_content(fit: Fit, names: Collection[str], *, payload: bool) -> dic
     calls = [name for name in SAMPLE_ARGUMENTS if name in names]
     results = {name: machine.along(name, inputs) for name in RIGID_ARGUMENTS}
     inputs["load"] = results["rigid_torque"]
-    signs = {"": np.sign(inputs["dq"]), "_smooth": _smooth(inputs["dq"], width)}
+    signs = {"": np.sign(inputs["dq"]), "_smooth": sign_of(inputs["dq"], width)}
     for ending, sign in signs.items():
         signed = machine.with_states(inputs | {"sign": sign})
         if not ending:
@@ -78,12 +79,6 @@ def self_test_content(fit: Fit, names: Collection[str], *, payload: bool) -> dic
     }
 
 
-def _smooth(dq: Array, width: Array) -> Array:
-    symbols = [ca.SX.sym("dq", len(width)), ca.SX.sym("width", len(width))]
-    sign = ca.Function("sign", symbols, [ramp(*symbols)])
-    return np.asarray(sign(dq.T, width).full().T)
-
-
 def _motion(fit: Fit) -> dict[str, Array]:
     """Return samples (K, ·) of a motion through the joints' ranges."""
     robot, random = fit.model.robot, np.random.default_rng(1)
@@ -113,8 +108,10 @@ class _Evaluator:
         e = self._expressions = ExportExpressions(fit, Values.symbols(fit.model))
         self._before = before = ExportExpressions(fit, e.values)
         self._symbols = {"dq_r": e.dq_r, "ddq_r": e.ddq_r, "torque": e.tau, "states": e.states}
-        self._symbols |= _of_sample(e)
-        self._symbols |= {f"before_{name}": x for name, x in _of_sample(before).items()}
+        self._symbols |= {"load": e.load, "before_load": before.load}
+        for prefix, x in (("", e), ("before_", before)):
+            inputs = signal_inputs(fit, x, of="")
+            self._symbols |= {prefix + name: given.symbol for name, given in inputs.items()}
         self._values = [e.values.parameters, e.values.effects, e.values.shapes]
         links = fit.link_parameters.copy()
         links[-10:] += parameter_transport(fit.model.robot.tool) @ payload
@@ -160,11 +157,3 @@ class _Evaluator:
         zeros = {name: np.zeros((samples, x.size1())) for name, x in symbols.items()}
         arguments = [given.get(name, zero).T for name, zero in zeros.items()]
         return np.array(function(*arguments, *self._numbers)).T
-
-
-def _of_sample(x: ExportExpressions) -> dict[str, ca.SX]:
-    m = x.motion
-    return {
-        "q": m.q, "sin": m.sin, "cos": m.cos, "dq": m.dq, "ddq": m.ddq, "sign": x.sign,
-        "load": x.load, "temperature": x.temperature, "time": x.time,
-    }  # fmt: skip
