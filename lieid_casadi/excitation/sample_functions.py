@@ -36,14 +36,7 @@ class SampleKernel:
         matrix: ca.SX,
         further: Mapping[str, ca.SX] | None = None,
     ) -> None:
-        inputs = {
-            "q": symbols.q,
-            "sin": symbols.sin,
-            "cos": symbols.cos,
-            "dq": symbols.dq,
-            "ddq": symbols.ddq,
-            **(further or {}),
-        }
+        inputs = vars(symbols) | dict(further or {})
         sparse = sparse_function(name, list(inputs.values()), list(inputs), matrix)
         self._evaluation = evaluation_of_one(name, sparse)
 
@@ -80,8 +73,7 @@ class SampleKernel:
 def reverse_derivative(values: ca.SX, seed: ca.SX, symbols: Motion) -> ca.SX:
     """Return seedᵀ·∂values/∂(q, dq, ddq) (3 n, 1) by reverse differentiation."""
     s = symbols
-    inputs = ca.vertcat(s.q, s.sin, s.cos, s.dq, s.ddq)
-    gradient = ca.jtimes(values, inputs, seed, True)
+    gradient = ca.jtimes(values, ca.vertcat(*vars(s).values()), seed, True)
     q, sine, cosine, dq, ddq = ca.vertsplit(gradient, s.q.size1())
     return ca.vertcat(q + sine * s.cos - cosine * s.sin, dq, ddq)
 

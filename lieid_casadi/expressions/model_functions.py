@@ -79,7 +79,6 @@ class ModelFunctions:
     def __init__(self, model: Model) -> None:
         self.model, n = model, model.n
         self.motion = _symbols(n)
-        m = self.motion
         self.parameters = ca.SX.sym("parameters", 10 * n)
         self.shapes = ca.SX.sym("shapes", len(model.shapes))
         self.dead_zone = ca.SX.sym("dead_zone", n)
@@ -89,9 +88,8 @@ class ModelFunctions:
         self.command_error = ca.SX.sym("command_error", n)
         self.states = ca.SX.sym("states", len(model.states))
         self.coefficients = ca.SX.sym("coefficients", len(model.columns))
-        self._symbols = {"q": m.q, "sin": m.sin, "cos": m.cos, "dq": m.dq, "ddq": m.ddq}
         further = (*SIGNAL_NAMES[3:], "parameters", "shapes", "dead_zone", "states", "coefficients")
-        self._symbols |= {name: getattr(self, name) for name in further}
+        self._symbols = vars(self.motion) | {name: getattr(self, name) for name in further}
 
     @cached_property
     def _rigid(self) -> ca.SX:

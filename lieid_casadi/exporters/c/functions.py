@@ -128,8 +128,7 @@ def fewer_parameters(fit: Fit) -> Array:
     fewer = np.zeros_like(links)
     fewer[base.kept] = base.combination @ links
     motion = Motion.symbols(robot.n)
-    symbols = [motion.q, motion.sin, motion.cos, motion.dq, motion.ddq]
-    y = ca.Function("y", symbols, [ca.densify(regressor(robot, motion))])
+    y = ca.Function("y", list(vars(motion).values()), [ca.densify(regressor(robot, motion))])
     random = np.random.default_rng(0)
     for _ in range(20):
         q, dq, ddq = random.uniform(-3.0, 3.0, (3, robot.n))
