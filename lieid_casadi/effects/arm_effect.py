@@ -192,3 +192,11 @@ def on_joint(column: Array, joint: int, n: int) -> Array:
     columns = np.zeros((len(column), n, 1))
     columns[:, joint, 0] = column
     return columns
+
+
+def lag_torque(arm: SegmentModel, joint: int, lag: Array, size: float = 1.0) -> Array:
+    """Return the change (K, n) of the rigid torque if a link lags by size · lag (K,), rad."""
+    moved, rate = [x.copy() for x in arm.motion], np.gradient(lag, arm.t)
+    for signal, change in zip(moved, (lag, rate, np.gradient(rate, arm.t)), strict=True):
+        signal[:, joint] -= size * change
+    return arm.rigid(*moved) - arm.load

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, InstantModel, SegmentModel, lag_torque
 from lieid_casadi.effects.effect import Coefficient, Shape
 from lieid_casadi.effects.registry import register
 
@@ -43,11 +43,7 @@ class Backlash(ArmEffect):
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         play = max(float(values[1]), LEAST)
-        place = motor_in_play(arm, joint, play)
-        moved = [x.copy() for x in arm.motion]
-        for signal, offset in zip(moved, _derivatives(place, arm.t), strict=True):
-            signal[:, joint] -= offset
-        change = arm.rigid(moved[0], moved[1], moved[2]) - arm.load
+        change = lag_torque(arm, joint, motor_in_play(arm, joint, play))
         return np.asarray(change[:, :, None] / play)
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX:
@@ -97,9 +93,3 @@ def _inertia(arm: SegmentModel, joint: int) -> Array:
     inertia = (arm.rigid(q, rest, unit) - arm.rigid(q, rest, rest))[:, joint]
     typical = float(np.median(np.abs(inertia)))
     return np.maximum(inertia, max(LEAST_INERTIA * typical, np.finfo(float).tiny))
-
-
-def _derivatives(x: Array, t: Array) -> tuple[Array, Array, Array]:
-    """Return a signal (K,) and its first and second derivative."""
-    rate = np.gradient(x, t)
-    return x, rate, np.gradient(rate, t)

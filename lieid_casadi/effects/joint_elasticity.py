@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, lag_torque
 from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
 
@@ -45,9 +45,4 @@ class JointElasticity(ArmEffect):
         if largest == 0.0:
             return np.zeros((*arm.load.shape, 1))
         step = max(float(values[0]), LEAST / largest)
-        rate = np.gradient(load, arm.t)
-        moved = [x.copy() for x in arm.motion]
-        for signal, wound in zip(moved, (load, rate, np.gradient(rate, arm.t)), strict=True):
-            signal[:, joint] -= step * wound
-        change = arm.rigid(moved[0], moved[1], moved[2]) - arm.load
-        return change[:, :, None] / step
+        return lag_torque(arm, joint, load, step)[:, :, None] / step
