@@ -397,11 +397,9 @@ def returns_with_state(own: ResidualSignals, stretch: Stretch, joint: int, insid
 
     ``inside`` (M,) are the rows of all stretches, which are not compared.
     """
-    same = _Same(own.state[:, joint], SAME_STATE, ~inside, own.transient[:, joint])
-    visits = _visits(own, stretch, joint, same)
-    if visits.count < LEAST_VISITS:
-        return True
-    return visits.similar > MOST_SIMILAR * visits.count
+    near = _near(own.state[:, joint], SAME_STATE, own.excess[:, joint], stretch) & ~inside
+    visits, similar = _visits(own, stretch, joint, near, own.transient[:, joint])
+    return visits < LEAST_VISITS or similar > MOST_SIMILAR * visits
 
 
 def returns_with_position(own: ResidualSignals, stretch: Stretch, joint: int) -> bool:
@@ -412,58 +410,40 @@ def returns_with_position(own: ResidualSignals, stretch: Stretch, joint: int) ->
     """
     if own.still[stretch.first : stretch.last, joint].any():
         return False
-    place, error, every = own.place[:, joint], own.transient[:, joint], np.full(len(own.time), True)
+    error = own.transient[:, joint]
+    near = _near(own.place[:, [joint]], SAME_PLACE, own.excess[:, joint], stretch)
     for signed in (error, error * own.direction[:, joint]):
-        same = _Same(place[:, None], SAME_PLACE, every, signed)
-        visits = _visits(own, stretch, joint, same)
-        if visits.count >= LEAST_VISITS and 2 * visits.similar > visits.count:
+        visits, similar = _visits(own, stretch, joint, near, signed)
+        if visits >= LEAST_VISITS and 2 * similar > visits:
             return True
     return False
 
 
-@dataclass(frozen=True)
-class _Same:
-    """What passes have in common: signals within a width, and the sign of another one."""
-
-    signals: Array  # (M, s)
-    width: float
-    allowed: Mask  # (M,) rows that are compared
-    signed: Array  # (M,)
-
-
-@dataclass(frozen=True)
-class _Visits:
-    """Other passes of a joint through the state at the peak of an error."""
-
-    count: int
-    similar: int
+def _near(signals: Array, width: float, excess: Array, stretch: Stretch) -> Mask:
+    """Return the rows (M,) whose signals (M, s) are those of a stretch where its error is large."""
+    own = excess[stretch.first : stretch.last]
+    large = stretch.first + np.flatnonzero(own > 0.5 * own.max())
+    distance = KDTree(signals[large]).query(signals, p=np.inf)[0]
+    return np.asarray(distance < width)
 
 
 def _visits(
-    own: ResidualSignals,
-    stretch: Stretch,
-    joint: int,
-    same: _Same,
-) -> _Visits:
-    """Count the other passes through what a stretch has, and those with a similar error."""
-    rows = slice(stretch.first, stretch.last)
-    peak = own.excess[rows, joint].max()
-    at = stretch.first + int(np.argmax(own.excess[rows, joint]))
-    large = stretch.first + np.flatnonzero(own.excess[rows, joint] > 0.5 * peak)
-    tree = KDTree(same.signals[large])
-    near = tree.query(same.signals, p=np.inf)[0] < same.width
-    time = own.time
-    near &= same.allowed & (
-        (time < time[stretch.first] - GAP) | (time > time[stretch.last - 1] + GAP)
-    )
-    similar = np.sign(same.signed) == np.sign(same.signed[at])
-    similar &= own.excess[:, joint] > SIMILAR * peak
-    where = np.flatnonzero(near)
+    own: ResidualSignals, stretch: Stretch, joint: int, near: Mask, signed: Array
+) -> tuple[int, int]:
+    """Count the other passes through rows that are near, and those with a similar error.
+
+    A similar error has the sign of that at the peak in ``signed`` (M,).
+    """
+    size, time = own.excess[:, joint], own.time
+    at = stretch.first + int(np.argmax(size[stretch.first : stretch.last]))
+    apart = (time < time[stretch.first] - GAP) | (time > time[stretch.last - 1] + GAP)
+    similar = (np.sign(signed) == np.sign(signed[at])) & (size > SIMILAR * size[at])
+    where = np.flatnonzero(near & apart)
     if not len(where):
-        return _Visits(0, 0)
-    visit = np.cumsum(np.diff(own.time[where], prepend=own.time[where[0]]) > GAP)
+        return 0, 0
+    visit = np.cumsum(np.diff(time[where], prepend=time[where[0]]) > GAP)
     # A held joint makes one long visit: each second of it counts.
-    visit = visit + np.floor(own.time[where]).astype(int) * (visit.max() + 1)
+    visit = visit + np.floor(time[where]).astype(int) * (visit.max() + 1)
     _, number = np.unique(visit, return_inverse=True)
     returned = np.bincount(number, weights=similar[where]) > 0
-    return _Visits(len(returned), int(returned.sum()))
+    return len(returned), int(returned.sum())
