@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtr, stdtrit
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.rows import Rows
@@ -21,6 +22,7 @@ from lieid_casadi.recording.periods import detect_period
 Mask = NDArray[np.bool_]
 LARGEST_GAP = 0.25  # of the length of a part
 LEAST_OTHERS = 1e-3  # of what is expected of an effect, in the parts beside one
+SMALLEST_TAIL = 1e-30  # probability of a deviation; beyond it no two differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,9 @@ class Folds:
         nothing are no doubt about it. Noise scatters with a variance proportional to what is
         expected; the standard error is unbiased then (Royall and Cumberland, Journal of the
         American Statistical Association 1981). Parts count as far as each has `LEAST_STRETCHES`
-        that are independent.
+        that are independent. Of an effect in few parts the standard error is uncertain: returned
+        is the deviation that is as probable with equal parts (Student's distribution, degrees of
+        freedom by Satterthwaite, Biometrics Bulletin 1946).
         """
         total = float(expected.sum())
         if total <= 0.0:
@@ -57,7 +61,11 @@ class Folds:
         others = np.maximum(1.0 - expected / total, LEAST_OTHERS)
         scatter = np.mean((gains - gains.sum() / total * expected) ** 2 / others)
         parts = np.clip(self.independent[joint] / LEAST_STRETCHES, 1.0, self.count)
-        return float(np.mean(gains) / max(np.sqrt(scatter / parts), 1e-12))
+        found = float(np.mean(gains) / max(np.sqrt(scatter / parts), 1e-12))
+        freedom = self.count - 1.0  # with equal parts
+        own = freedom / self.count * total**2 / float(np.sum(expected**2))
+        tail = max(float(stdtr(own, -abs(found))), SMALLEST_TAIL)
+        return float(np.sign(found) * -stdtrit(freedom, tail))
 
 
 def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:
