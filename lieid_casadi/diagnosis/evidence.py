@@ -39,8 +39,9 @@ class Slot:
     gains: Array
     #: (K,): the same of what it changes there, if the error is uncorrelated with that
     expected: Array
-    #: mean of the gains in its standard errors
+    #: mean of the gains in its standard errors, and those as probable with equal parts
     deviations: float
+    certainty: float
     #: (n,) each: weighted held-out sum of squares of each joint without it and with it
     before: Array
     after: Array
@@ -153,7 +154,7 @@ def judge(
                 group,
                 gains[e],
                 expected[e],
-                folds.deviations(gains[e], expected[e], joint),
+                *folds.deviations(gains[e], expected[e], joint),
                 before[e],
                 after[e],
                 float(np.mean(own)),

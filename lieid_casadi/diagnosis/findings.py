@@ -156,9 +156,9 @@ def _selected(steps: Sequence[Step]) -> str:
             if effect is not None and follows_temperature(effect) and sure:
                 return "; friction that changes at one instant may look the same"
             certainty = f"{step.evidence.certainty:.1f}"
-            if step.evidence.certainty < step.evidence.deviations:
+            if step.evidence.certainty < step.evidence.gain_certainty:
                 return f"; it is only {certainty} standard deviations from zero{where}"
-            return f"; its gain{where} is only {certainty} standard errors"
+            return f"; its gain{where} is certain to only {certainty} standard errors"
         return ""
     text = f"; without single parts of the data it was selected{where} in {100 * selected:.0f} %"
     return text + (f", it or a rival in {100 * together:.0f} %" if together > selected else "")

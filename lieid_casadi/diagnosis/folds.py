@@ -43,21 +43,21 @@ class Folds:
         """Number of parts."""
         return len(self.held)
 
-    def deviations(self, gains: Array, expected: Array, joint: int) -> float:
-        """Return the mean gain (K,) of an effect on held-out parts in its standard errors.
+    def deviations(self, gains: Array, expected: Array, joint: int) -> tuple[float, float]:
+        """Return the mean gain (K,) of an effect in its standard errors, and how certain it is.
 
         An effect does not act equally in all parts. Its gains are therefore compared with those
         ``expected`` (K,) of what it changes there, by the ratio of the sums: parts where it does
         nothing are no doubt about it. Noise scatters with a variance proportional to what is
         expected; the standard error is unbiased then (Royall and Cumberland, Journal of the
         American Statistical Association 1981). Parts count as far as each has `LEAST_STRETCHES`
-        that are independent. Of an effect in few parts the standard error is uncertain: returned
-        is the deviation that is as probable with equal parts (Student's distribution, degrees of
-        freedom by Satterthwaite, Biometrics Bulletin 1946).
+        that are independent. Of an effect in few parts the standard error is uncertain: the
+        second number is the deviation that is as probable with equal parts (Student's
+        distribution, degrees of freedom by Satterthwaite, Biometrics Bulletin 1946).
         """
         total = float(expected.sum())
         if total <= 0.0:
-            return 0.0
+            return 0.0, 0.0
         others = np.maximum(1.0 - expected / total, LEAST_OTHERS)
         scatter = np.mean((gains - gains.sum() / total * expected) ** 2 / others)
         parts = np.clip(self.independent[joint] / LEAST_STRETCHES, 1.0, self.count)
@@ -65,7 +65,7 @@ class Folds:
         freedom = self.count - 1.0  # with equal parts
         own = freedom / self.count * total**2 / float(np.sum(expected**2))
         tail = max(float(stdtr(own, -abs(found))), SMALLEST_TAIL)
-        return float(np.sign(found) * -stdtrit(freedom, tail))
+        return found, float(np.sign(found) * -stdtrit(freedom, tail))
 
 
 def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:

@@ -179,7 +179,7 @@ def _lowers(
         return False
     ratio = np.divide(before, after, out=np.ones(len(after)), where=after > 0.0)  # 1 without rows
     gains = 0.5 * np.log(ratio)
-    return folds.deviations(gains, np.ones(len(gains)), joint) > options.gain_deviations
+    return folds.deviations(gains, np.ones(len(gains)), joint)[0] > options.gain_deviations
 
 
 def _promising(paths: Paths, whole: Sequence[int], rules: Rules) -> NDArray[np.intp]:

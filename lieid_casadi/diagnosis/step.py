@@ -60,6 +60,9 @@ class Evidence:
         The same if what the effect changes in a part were uncorrelated with the error there.
     deviations : float
         Mean of the gains in its standard errors, from their scatter about those expected.
+    gain_certainty : float
+        The number of standard errors that noise exceeds as often with equal parts. It is smaller
+        where few parts show the effect, so that the standard error is uncertain.
     selected : float
         Fraction of the paths, each without one part, that contain the effect.
     selected_with_rivals : float
@@ -75,6 +78,7 @@ class Evidence:
     gains: tuple[float, ...]
     expected: tuple[float, ...]
     deviations: float
+    gain_certainty: float
     selected: float
     selected_with_rivals: float
     independent: int
@@ -82,8 +86,8 @@ class Evidence:
 
     @property
     def certainty(self) -> float:
-        """The smaller one of both deviations, which decides on a name."""
-        return float(np.fmin(self.deviations, self.coefficient_deviations))
+        """What decides on a name: the smaller one of the gain's and the coefficients' certainty."""
+        return float(np.fmin(self.gain_certainty, self.coefficient_deviations))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the evidence for JSON."""
@@ -91,6 +95,7 @@ class Evidence:
             "gains": list(self.gains),
             "expected": list(self.expected),
             "deviations": number_or_none(self.deviations),
+            "gain_certainty": number_or_none(self.gain_certainty),
             "coefficient_deviations": number_or_none(self.coefficient_deviations),
             "selected_with_rivals": self.selected_with_rivals,
             "independent_stretches": self.independent,

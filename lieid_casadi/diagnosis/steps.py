@@ -65,6 +65,7 @@ class Accepted:
             tuple(map(float, slot.gains)),
             tuple(map(float, slot.expected)),
             slot.deviations,
+            slot.certainty,
             slot.selected,
             slot.selected_any,
             int(found.folds.independent[slot.joint]),
@@ -75,7 +76,7 @@ class Accepted:
         ]
         smooth = any(c.name == SMOOTH and c.joint == slot.joint for c in beside)
         # without a part of the data something else was in its place, or nothing
-        certain = slot.selected == 1.0 and slot.deviations >= options.name_deviations
+        certain = slot.selected == 1.0 and slot.certainty >= options.name_deviations
         if certain and follows_temperature(candidate.effect):
             certain = not changes_at_once(found, slot, others, options.rival_deviations)
         certain = certain and not is_lead(candidate.effect, candidate.joints, slot.values[0])

@@ -345,7 +345,7 @@ def test_an_effect_whose_gain_is_doubtful_is_added_without_a_name(monkeypatch):
     (named,), (step,) = certain.steps, doubtful.steps
     assert (step.label, step.parameters) == (named.label, named.parameters)
     assert (named.status, step.status, step.rivals) == ("named", "one_of", ())
-    text = f"its gain is only {step.evidence.deviations:.1f} standard errors"
+    text = f"its gain is certain to only {step.evidence.gain_certainty:.1f} standard errors"
     assert any(text in sentence for sentence in doubtful.sentences)
 
 
@@ -547,7 +547,7 @@ def test_a_joint_that_is_held_in_training_may_be_unexplained_in_the_test():
 def test_a_filter_of_torque_is_no_form_of_friction_over_speed():
     def forms(label):
         (placement,) = place(label, ROBOT.n)
-        evidence = Evidence((), (), 0.0, 1.0, 1.0, 10)
+        evidence = Evidence((), (), 0.0, 0.0, 1.0, 1.0, 10)
         candidate = Candidate(placement, np.zeros((1, 1)))
         accepted = Accepted(candidate, np.zeros(1), 1, evidence, (), True, False)
         return [each.placement.label for each in other_forms([accepted], MODEL)]

@@ -119,7 +119,7 @@ def test_noise_exceeds_a_deviation_as_often_as_with_equal_parts(expected):
     """Student's distribution with nine degrees of freedom exceeds two in 3.8 and three in 0.7 %."""
     folds, random = parts(10), np.random.default_rng(11)
     gains = random.normal(size=(8000, 10)) * np.sqrt(expected)
-    found = np.array([folds.deviations(own, np.array(expected), 0) for own in gains])
+    found = np.array([folds.deviations(own, np.array(expected), 0)[1] for own in gains])
     assert 0.02 < np.mean(found > 2.0) < 0.047
     assert 0.001 < np.mean(found > 3.0) < 0.01
 
@@ -129,11 +129,12 @@ def test_gains_in_few_parts_count_where_the_effect_is_expected_there():
     gains = np.array([0.0, 0.07, -0.06, 0.12, -0.02, 0.04, 0.04, 0.62, 0.33, 0.0])
     equal, own = np.full(10, 0.1), np.maximum(gains, 0.01)
     student = gains.mean() / (gains.std(ddof=1) / np.sqrt(10))
-    assert folds.deviations(gains, equal, 0) == pytest.approx(student)
-    assert folds.deviations(gains, own, 0) > 2.0 * student
-    assert folds.deviations(gains, own[::-1], 0) < student
-    assert folds.deviations(-gains, equal, 0) == pytest.approx(-student)
-    assert folds.deviations(np.zeros(10), np.zeros(10), 0) == 0.0  # no path contains the effect
+    assert folds.deviations(gains, equal, 0) == pytest.approx([student] * 2)
+    deviations, certainty = folds.deviations(gains, own, 0)
+    assert 2.0 * student < certainty < deviations
+    assert folds.deviations(gains, own[::-1], 0)[0] < student
+    assert folds.deviations(-gains, equal, 0) == pytest.approx([-student] * 2)
+    assert folds.deviations(np.zeros(10), np.zeros(10), 0) == (0.0, 0.0)  # in no path
 
 
 def test_a_part_whose_path_lacks_the_effect_counts_against_it():
@@ -146,7 +147,7 @@ def test_a_part_whose_path_lacks_the_effect_counts_against_it():
     assert (some.expected[6:] > 0.0).all()
     assert some.deviations < every.deviations
     present = np.where(np.arange(10) < 6, some.expected, 0.0)
-    assert some.deviations < 0.9 * folds.deviations(some.gains, present, 1)
+    assert some.deviations < 0.9 * folds.deviations(some.gains, present, 1)[0]
 
 
 def test_an_effect_is_judged_without_a_smooth_function_that_came_after_it_and_contains_it():
