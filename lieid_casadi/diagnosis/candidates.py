@@ -220,14 +220,6 @@ def is_delay(effect: Effect) -> bool:
     return effect.like_uncertain_friction == ("late",)
 
 
-def is_lead(effect: Effect, joints: Sequence[int], value: float) -> bool:
-    """Return whether the torque of one joint comes before its motion.
-
-    Signals of drives are late; friction at reversals of another form looks like that.
-    """
-    return bool(joints) and is_delay(effect) and value < 0.0
-
-
 def follows_temperature(effect: Effect) -> bool:
     """Return whether an effect acts by a temperature, or stands for one that is not measured."""
     return "temperature" in (*effect.signals, effect.unless_measured)

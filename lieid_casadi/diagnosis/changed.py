@@ -300,6 +300,7 @@ def _steps(
                 share=share_of(before, after, float(size[j])),
                 confirmed=None,
                 evidence=own.evidence,
+                doubt=own.doubt,
                 rivals=own.rivals,
                 group=numbers[k],
                 depends_on=signals_of(own.placement),

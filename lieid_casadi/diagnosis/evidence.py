@@ -137,11 +137,11 @@ def judge(
             rest = [g for g in used if g not in mine]
             without = held.errors([*rest, *beside]) if mine else complete
             # a part whose path lacks the effect counts with what the effect would be
-            change = without - complete if mine else held.part_of(torque[group])
+            change = without - complete if mine else held.on_rows(torque[group])
             less, more = held.squares(without, at), held.squares(complete, at)
             error, size = more[own].sum(), held.squares(change, at)[own].sum()
-            gains[e, k] = _gain(less[own].sum(), error)
-            expected[e, k] = _gain(error + size, error)
+            gains[e, k] = gains_of(less[own].sum(), error)
+            expected[e, k] = gains_of(error + size, error)
             before[e] += less
             after[e] += more
     found = []
@@ -196,9 +196,11 @@ def _without_later_functions(
     return [g for g in path if g not in later or columns.candidate(g).joint != joint]
 
 
-def _gain(before: float, after: float) -> float:
-    """Return ln of an RMS error over a later one, from sums of squares."""
-    return float(0.5 * np.log(before / max(after, SMALLEST * before))) if before > 0.0 else 0.0
+def gains_of(before: float | Array, after: float | Array) -> Array:
+    """Return ln of RMS errors over later ones, from sums of squares; 0 without rows."""
+    known = np.where(np.asarray(before) > 0.0, before, 1.0)
+    least = np.maximum(np.where(np.asarray(before) > 0.0, after, 1.0), SMALLEST * known)
+    return np.asarray(0.5 * np.log(known / least))
 
 
 class HeldOut:
@@ -236,7 +238,7 @@ class HeldOut:
             error = error - self._held[:, own] @ values
         return np.asarray(error)
 
-    def part_of(self, torque: Array) -> Array:
+    def on_rows(self, torque: Array) -> Array:
         """Return a torque (R + k,) on the held-out rows."""
         return np.asarray(torque[: len(self._rows)][self._rows])
 

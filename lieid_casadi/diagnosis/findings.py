@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lieid_casadi.diagnosis.candidates import follows_temperature, is_delay, is_lead
-from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.step import Difference, Step, Unexplained
 from lieid_casadi.effects.registry import REGISTER, make
 from lieid_casadi.effects.smooth import Smooth
@@ -15,6 +13,14 @@ from lieid_casadi.tables import std_text, value_text
 
 MOST_RIVALS = 3  # named in a sentence; the JSON has all
 MOST_LISTED = 3  # values in a list; of more the range is stated
+#: Of an effect without rivals, by `Step.doubt`
+DOUBTS = {
+    "gain": "; its gain{where} is certain to only {gain:.1f} standard errors",
+    "coefficients": "; it is only {coefficients:.1f} standard deviations from zero{where}",
+    "instant": "; friction that changes at one instant may look the same",
+    "late_friction": "; a joint that sticks for a moment at each reversal may look the same",
+    "lead": "; friction of another form at reversals may look the same",
+}
 
 
 def findings(steps: Sequence[Step], mode: str = "missing") -> list[list[Step]]:
@@ -146,20 +152,13 @@ def _selected(steps: Sequence[Step]) -> str:
     where = f" on {location(step.joints)}" if len(steps) > 1 else ""
     selected, together = step.evidence.selected, step.evidence.selected_with_rivals
     if selected == 1.0:
-        if step.status == "one_of" and not step.rivals:
-            effect = make(step.effect) if step.effect in REGISTER else None
-            if effect is not None and is_delay(effect):
-                if is_lead(effect, step.joints, step.parameters[effect.coefficients[0].name]):
-                    return "; friction at reversals that is not of the model's form may look so"
-                return "; a joint that sticks for a moment at each reversal may look the same"
-            sure = step.evidence.certainty >= DiagnosisOptions().name_deviations
-            if effect is not None and follows_temperature(effect) and sure:
-                return "; friction that changes at one instant may look the same"
-            certainty = f"{step.evidence.certainty:.1f}"
-            if step.evidence.certainty < step.evidence.gain_certainty:
-                return f"; it is only {certainty} standard deviations from zero{where}"
-            return f"; its gain{where} is certain to only {certainty} standard errors"
-        return ""
+        evidence = step.evidence
+        text = "" if step.rivals or step.status != "one_of" else DOUBTS.get(step.doubt, "")
+        return text.format(
+            where=where,
+            gain=evidence.gain_certainty,
+            coefficients=evidence.coefficient_deviations,
+        )
     text = f"; without single parts of the data it was selected{where} in {100 * selected:.0f} %"
     return text + (f", it or a rival in {100 * together:.0f} %" if together > selected else "")
 

@@ -22,7 +22,7 @@ from lieid_casadi.recording.periods import detect_period
 Mask = NDArray[np.bool_]
 LARGEST_GAP = 0.25  # of the length of a part
 LEAST_OTHERS = 1e-3  # of what is expected of an effect, in the parts beside one
-SMALLEST_TAIL = 1e-30  # probability of a deviation; beyond it no two differ
+SMALLEST_TAIL = 1e-30  # probability of a deviation: the inverse of the distribution is finite
 
 
 @dataclass(frozen=True, eq=False)

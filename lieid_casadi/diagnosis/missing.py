@@ -225,7 +225,7 @@ class MissingEffects:
             beside_friction=False,
             with_smooth=False,
         )
-        new = [replace(a, certain=False) for a in self._accepted(found, accepted)]
+        new = [replace(a, doubt="late_friction") for a in self._accepted(found, accepted)]
         return self._plausible([*accepted, *new]) if new else (fit, accepted)
 
     def _is_wanted(self, candidate: Candidate) -> bool:

@@ -14,7 +14,7 @@ from scipy.fft import next_fast_len, rfft
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate, is_form
 from lieid_casadi.diagnosis.columns import Columns
-from lieid_casadi.diagnosis.evidence import Slot, judge, solved
+from lieid_casadi.diagnosis.evidence import Slot, gains_of, judge, solved
 from lieid_casadi.diagnosis.folds import Folds, folds_of
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -177,8 +177,7 @@ def _lowers(
     """Return whether the squared errors (K,) of held-out parts fall by more than their scatter."""
     if not after.any() or 1.0 - np.sqrt(after.sum() / before.sum()) < options.worth:
         return False
-    ratio = np.divide(before, after, out=np.ones(len(after)), where=after > 0.0)  # 1 without rows
-    gains = 0.5 * np.log(ratio)
+    gains = gains_of(before, after)
     return folds.deviations(gains, np.ones(len(gains)), joint)[0] > options.gain_deviations
 
 

@@ -12,6 +12,10 @@ from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.simulation.integration import FARTHEST, LEAST_ERROR, Indices
 
 Status = Literal["named", "one_of", "shape"]
+#: Why the name of an effect without rivals is not certain: a path without some held-out part does
+#: not contain it, its gain or its coefficients are within noise, friction that changes at one
+#: instant does as well, dry friction reverses late, or it is torque before its motion.
+Doubt = Literal["", "selected", "gain", "coefficients", "instant", "late_friction", "lead"]
 
 LEAST_STRETCHES = 2  # independent ones in each held-out part, for full evidence
 
@@ -175,6 +179,8 @@ class Step:
     confirmed : bool or None
         Whether the test error falls; None without a test.
     evidence : Evidence
+    doubt : str
+        Why its name is not certain, rivals aside, or empty.
     rivals : tuple of Rival
         Nearest first.
     group : int
@@ -209,6 +215,7 @@ class Step:
     share: float
     confirmed: bool | None
     evidence: Evidence
+    doubt: Doubt
     rivals: tuple[Rival, ...]
     group: int
     depends_on: tuple[str, ...]
@@ -243,6 +250,7 @@ class Step:
             "selected": self.evidence.selected,
             "confirmed": self.confirmed,
             "evidence": self.evidence.to_dict(),
+            "doubt": self.doubt,
             "indistinguishable": [rival.to_dict() for rival in self.rivals],
             "rival_pairs": [[rival.to_dict() for rival in pair] for pair in self.rival_pairs],
             "motion": None if self.motion is None else self.motion.to_dict(),

@@ -9,7 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature, is_form, is_lead
+from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature, is_delay, is_form
 from lieid_casadi.diagnosis.evidence import Slot
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -17,7 +17,15 @@ from lieid_casadi.diagnosis.rivals import changes_at_once, rivals_of
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round
 from lieid_casadi.diagnosis.smooth_functions import formula_of, named_column
-from lieid_casadi.diagnosis.step import Evidence, Fall, Rival, Status, Step, Unexplained
+from lieid_casadi.diagnosis.step import (
+    Doubt,
+    Evidence,
+    Fall,
+    Rival,
+    Status,
+    Step,
+    Unexplained,
+)
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.effects.registry import usable
 from lieid_casadi.errors import LateFrictionWarning
@@ -33,7 +41,7 @@ ABSORBED = 1e-6  # part of a column outside the model's span, below which the mo
 class Accepted:
     """An effect that the search adds, with what the held-out parts say of it.
 
-    ``certain``: whether the held-out parts leave no doubt that it is there.
+    ``doubt``: why its name is not certain, rivals aside.
     ``beside_smooth``: whether there was a smooth function of its joint when it was found.
     ``replaced``: the effects in whose place it is.
     """
@@ -43,7 +51,7 @@ class Accepted:
     joint: int
     evidence: Evidence
     rivals: tuple[Rival, ...]
-    certain: bool
+    doubt: Doubt
     beside_smooth: bool
     replaced: tuple[Candidate, ...] = ()
 
@@ -75,18 +83,13 @@ class Accepted:
             *(a.candidate for a in earlier),
         ]
         smooth = any(c.name == SMOOTH and c.joint == slot.joint for c in beside)
-        # without a part of the data something else was in its place, or nothing
-        certain = slot.selected == 1.0 and slot.certainty >= options.name_deviations
-        if certain and follows_temperature(candidate.effect):
-            certain = not changes_at_once(found, slot, others, options.rival_deviations)
-        certain = certain and not is_lead(candidate.effect, candidate.joints, slot.values[0])
         return cls(
             candidate,
             found.paths.columns.shapes(slot.group),
             slot.joint,
             evidence,
             rivals,
-            certain,
+            _doubt(found, slot, others, options),
             smooth,
         )
 
@@ -95,7 +98,7 @@ class Accepted:
         """What may be said of its name."""
         if self.candidate.name == SMOOTH:
             return "shape"
-        return "named" if not self.rivals and self.certain else "one_of"
+        return "one_of" if self.rivals or self.doubt else "named"
 
     def replaced_by(self, form: Candidate, all_replaced: Sequence[Accepted]) -> Accepted:
         """Return another form of the effect, in the place of several."""
@@ -121,6 +124,25 @@ class Accepted:
         return float(
             np.sqrt(max(float(fit.values[own] @ inverse @ fit.values[own]), 0.0) / len(own))
         )
+
+
+def _doubt(found: Round, slot: Slot, others: Sequence[int], options: DiagnosisOptions) -> Doubt:
+    """Return why the name of an effect is not certain, or an empty text."""
+    candidate = found.candidate(slot.group)
+    if (
+        slot.selected < 1.0
+    ):  # without a part of the data something else was in its place, or nothing
+        return "selected"
+    if slot.certainty < options.name_deviations:
+        return "gain"
+    if follows_temperature(candidate.effect) and changes_at_once(
+        found, slot, others, options.rival_deviations
+    ):
+        return "instant"
+    # signals of drives are late; friction at reversals of another form looks early on one joint
+    if is_delay(candidate.effect) and candidate.joints and slot.values[0] < 0.0:
+        return "lead"
+    return ""
 
 
 def fitted_values(
@@ -160,7 +182,8 @@ def steps_of(
     steps = []
     for k, found in enumerate(accepted):
         deviations = found.coefficient_deviations(fit)
-        uncertain = found.status == "named" and deviations < name_deviations
+        if found.status == "named" and deviations < name_deviations:
+            found = replace(found, doubt="coefficients")
         replaced = tuple(Rival(c.label, c.name, c.joints, "data") for c in found.replaced)
         later = columns[k + 1 :]
         so_far = final.errors(np.concatenate([np.zeros(0, dtype=np.intp), *later]))
@@ -177,7 +200,7 @@ def steps_of(
                 effect=found.candidate.name,
                 joints=found.candidate.joints,
                 joint=j,
-                status="one_of" if uncertain else found.status,
+                status=found.status,
                 parameters={name: value for name, (value, _, _) in numbers.items()},
                 std={name: std for name, (_, std, _) in numbers.items()},
                 units={name: unit for name, (_, _, unit) in numbers.items()},
@@ -187,6 +210,7 @@ def steps_of(
                 share=share_of(before, after, float(torque[j])),
                 confirmed=None if fall["test"] is None else fall["test"] > 0.0,
                 evidence=replace(found.evidence, coefficient_deviations=deviations),
+                doubt=found.doubt,
                 rivals=found.rivals,
                 group=groups[k],
                 depends_on=signals_of(found.placement),

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lieid_casadi.diagnosis import Diagnosis
-from lieid_casadi.diagnosis.candidates import follows_temperature, is_lead
+from lieid_casadi.diagnosis.candidates import follows_temperature
 from lieid_casadi.diagnosis.findings import difference_sentence
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.step import Step
-from lieid_casadi.effects.registry import make
+from lieid_casadi.effects.registry import Library, make
 
 Group = tuple[str, ...]
 Kind = Literal["excitation", "temperature", "rivals", "range", "evidence"]
@@ -112,8 +112,8 @@ def _may_be_decided(step: Step) -> bool:
     time that is left, for the worse of both ways round.
     """
     if step.status == "one_of":
-        lead = is_lead(make(step.effect), step.joints, next(iter(step.parameters.values()), 0.0))
-        return not (lead or step.rivals) or any(rival.kind == "data" for rival in step.rivals)
+        alone = not step.rivals and step.doubt != "lead"  # which no motion takes away
+        return alone or any(rival.kind == "data" for rival in step.rivals)
     return step.status == "shape" and not _is_established(step)
 
 
@@ -161,17 +161,19 @@ def warming(diagnosis: Diagnosis) -> list[str]:
     """Return open effects of temperature, and joints whose error follows it or the time."""
     steps = [s.label for s in diagnosis.steps if s.status != "named"]
     steps += [label for label, _ in diagnosis.undecided]
-    return [label for label in steps if _is_thermal(label)] + [
+    library = diagnosis.fit.model.library
+    return [label for label in steps if _is_thermal(label, library)] + [
         f"joint {part.joint + 1}"
         for part in diagnosis.unexplained
         if {"t", f"temp{part.joint + 1}"} & set(part.depends_on)
-        or any(_is_thermal(label) for label, _ in part.candidates)
+        or any(_is_thermal(label, library) for label, _ in part.candidates)
     ]
 
 
-def _is_thermal(label: str) -> bool:
+def _is_thermal(label: str, library: Library) -> bool:
     """Whether an effect acts by a temperature, or stands for one that is not measured."""
-    return follows_temperature(make(label.partition(":")[0]))
+    name = label.partition(":")[0]
+    return follows_temperature(library[name]() if name in library else make(name))
 
 
 def remaining(diagnosis: Diagnosis) -> list[str]:

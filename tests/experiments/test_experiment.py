@@ -11,6 +11,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.diagnosis import Difference, Rival
 from lieid_casadi.diagnosis.step import Unexplained
+from lieid_casadi.effects import REGISTER
 from lieid_casadi.errors import NoSolution, OutputError, PremiseError
 from lieid_casadi.experiments import motion
 from lieid_casadi.experiments.motion import MotionDesign
@@ -196,8 +197,16 @@ def test_purposes(ambiguous):
     imitated = replace(shape, effect="smooth", rivals=(rival,), evidence=selected)
     (further,) = purposes(replace(ambiguous, steps=(imitated,)), [excitation])
     assert (further.kind, further.groups) == ("evidence", (("load_friction:1",),))
-    lead = replace(step, effect="torque_delay", parameters={"delta": -0.008}, rivals=())
+    lead = replace(step, doubt="lead", rivals=())
     assert purposes(replace(ambiguous, steps=(lead,)), [excitation]) == []  # no motion decides
+
+
+def test_an_effect_of_the_model_s_own_library_is_open_like_any_other(ambiguous):
+    own = lieid.Model(ROBOT, library={"gust": REGISTER["stribeck"]})
+    fit = replace(ambiguous.fit, model=own)
+    near = replace(ambiguous, fit=fit, steps=(), undecided=(("gust:1", 1.6),))
+    (need,) = purposes(near, [Purpose("excitation")], recorded=10.0, left=30.0)
+    assert (need.kind, need.groups) == ("evidence", (("gust:1",),))
 
 
 @pytest.fixture(scope="module")
