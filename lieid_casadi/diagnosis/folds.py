@@ -20,7 +20,7 @@ from lieid_casadi.identification.uncertainty.noise_model import (
 from lieid_casadi.recording.periods import detect_period
 
 Mask = NDArray[np.bool_]
-LARGEST_GAP = 0.25  # of the length of a part
+LARGEST_GAP = 1.0  # of the length of a part: seven tenths of the rows remain
 LEAST_OTHERS = 1e-3  # of what is expected of an effect, in the parts beside one
 SMALLEST_TAIL = 1e-30  # probability of a deviation: the inverse of the distribution is finite
 

@@ -15,6 +15,7 @@ from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import DiagnosisOptions, search
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.findings import finding
+from lieid_casadi.diagnosis.folds import folds_of
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
@@ -64,6 +65,25 @@ def diagnosis_of(*hidden, seed=0):
 
 
 LOAD_FRICTION = ("load_friction", 0, 2.0)
+
+
+def test_parts_are_apart_by_the_correlation_of_the_noise():
+    """Noise correlated over 0.5 s is correlated for 1 s in all; a part of 15 s has 1.5 s."""
+    fit = lieid.identify(MODEL, run(arm_with(), 1))
+    rows = Rows.of(fit, process([run(arm_with(), 1)], fit.processing), with_candidates=False)
+    random, residual = np.random.default_rng(0), []
+    for use in rows.runs:
+        kept = np.exp(-np.diff(rows.times[use.all]) / 0.5)
+        noise = [0.0]
+        for part in kept:
+            noise.append(part * noise[-1] + np.sqrt(1.0 - part**2) * random.normal())
+        residual.append(np.array(noise))
+    folds = folds_of(rows, residual, 10)
+    assert 0.7 < folds.gap < 1.5
+    times = np.concatenate([rows.times[use.all] for use in rows.runs])
+    for held, out in zip(folds.held, folds.out, strict=True):
+        apart = np.abs(times[~out][:, None] - times[held]).min()
+        assert apart >= folds.gap
 
 
 @pytest.mark.parametrize(
