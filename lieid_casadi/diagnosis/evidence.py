@@ -62,21 +62,25 @@ class Slot:
         return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else 0.0
 
     def reason(self, options: DiagnosisOptions, *, elsewhere: int = 0) -> str | None:
-        """Return why the held-out parts do not support the effect, or None.
-
-        Half of the standard errors are enough if it is on two other joints: drives of one arm
-        resemble each other.
-        """
+        """Return why the held-out parts do not support the effect, or None."""
         if self.fall < options.worth:
             falls = f"falls by only {100 * self.fall:.1f} %" if self.fall > 0 else "does not fall"
             return f"the held-out error of joint {self.joint + 1} {falls}"
-        limit = options.gain_deviations * (0.5 if elsewhere >= OTHER_JOINTS else 1.0)
+        limit = evidence_needed(options.gain_deviations, elsewhere)
         if self.deviations < limit:
             return (
                 f"the gain on held-out parts is {self.deviations:.1f} of its standard errors "
                 f"(limit {limit:g})"
             )
         return None
+
+
+def evidence_needed(limit: float, elsewhere: int) -> float:
+    """Return the deviations that an effect needs, given the number of other joints that have it.
+
+    Half of them are enough if it is on two other joints: drives of one arm resemble each other.
+    """
+    return 0.5 * limit if elsewhere >= OTHER_JOINTS else limit
 
 
 def judge(

@@ -12,7 +12,7 @@ from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay
-from lieid_casadi.diagnosis.evidence import OTHER_JOINTS, Slot
+from lieid_casadi.diagnosis.evidence import OTHER_JOINTS, Slot, evidence_needed
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.motion import UnseenMotion
@@ -84,7 +84,7 @@ class MissingEffects:
         self.segments = segments
         self.known = tuple(FilteredColumns() for _ in segments)
         self.rejected: dict[str, str] = {}
-        self.undecided: dict[str, float] = {}  # of those, the gains in standard errors
+        self.undecided: dict[str, float] = {}  # of those, gains or coefficients in standard errors
         self.refused: set[str] = set()  # implausible values, or the simulated motion is no better
         self.differing: list[Difference] = []
         self.apart: list[list[Array]] = []  # columns of what differs between the recordings
@@ -287,7 +287,7 @@ class MissingEffects:
                 if doubtful or other.rms_cv[j] > most:
                     continue
                 other = self._complete(others)
-                if found.coefficient_deviations(other) < self.options.gain_deviations:
+                if self._undetermined(found, others, other) is not None:
                     continue
                 errors = float(fit.rms_cv[j]), float(other.rms_cv[j])
                 if self.ask is None or self.ask(Proposal(found.placement.label, j, *errors)):
@@ -303,8 +303,12 @@ class MissingEffects:
         the error at all.
         """
         for found in reversed(accepted):
-            if found.coefficient_deviations(fit) < self.options.gain_deviations:
-                self.rejected[found.placement.label] = "the data do not determine its coefficients"
+            label, reason = found.placement.label, self._undetermined(found, accepted, fit)
+            if reason is not None:
+                self.rejected[label] = reason
+                self.undecided[label] = max(
+                    found.coefficient_deviations(fit), found.evidence.gain_certainty
+                )
                 return [a for a in accepted if a is not found]
         model, left = FinalModel.of(fit, self.segments, None), list(accepted)
         torques = [model.part_of_torque(a.placement, a.joint) for a in left]
@@ -325,6 +329,22 @@ class MissingEffects:
                 f"{100 * max(falls[worst], 0.0):.1f} %"
             )
         return left if len(left) < len(accepted) else self._moving_better(fit, left)
+
+    def _undetermined(self, found: Accepted, accepted: Sequence[Accepted], fit: Fit) -> str | None:
+        """Return why noise may be all of an effect in the fit of all effects, or None."""
+        elsewhere = _elsewhere(found.candidate, [a.candidate for a in accepted])
+        least, certain = (
+            evidence_needed(limit, elsewhere)
+            for limit in (self.options.gain_deviations, self.options.name_deviations)
+        )
+        gain, coefficients = found.evidence.gain_certainty, found.coefficient_deviations(fit)
+        if coefficients < least:
+            text = f"its coefficients are {coefficients:.1f} standard deviations from zero"
+            return f"{text} (limit {least:g})"
+        if max(coefficients, gain) < certain:  # either may be known roughly only
+            text = f"its gain is certain to {gain:.1f} standard errors and its coefficients are"
+            return f"{text} {coefficients:.1f} standard deviations from zero (one: {certain:g})"
+        return None
 
     def _moving(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
         """Return the fit with effects by which an arm under commands moves better.
@@ -381,8 +401,7 @@ class MissingEffects:
             if candidate.recording is not None:
                 continue
             label = candidate.label
-            others = {c.joint for c in sure if c.name == candidate.name} - {candidate.joint}
-            reason = slot.reason(self.options, elsewhere=len(others))
+            reason = slot.reason(self.options, elsewhere=_elsewhere(candidate, sure))
             self.undecided.pop(label, None)
             if reason is not None and slot.fall >= self.options.worth and slot.deviations > 0.0:
                 self.undecided[label] = slot.deviations
@@ -493,6 +512,11 @@ class MissingEffects:
                 provenance=self.first.provenance,
             )
         return self.fits[key]
+
+
+def _elsewhere(candidate: Candidate, others: Sequence[Candidate]) -> int:
+    """Return the number of other joints that have the same effect."""
+    return len({c.joint for c in others if c.name == candidate.name} - {candidate.joint})
 
 
 def _is_limit(candidate: Candidate) -> bool:

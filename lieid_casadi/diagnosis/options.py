@@ -21,11 +21,12 @@ class DiagnosisOptions:
     most_steps: int = 30
     #: Held-out parts. Statistics: ten is usual for cross-validation.
     folds: int = 10
-    #: Standard errors by which the mean gain on held-out parts must exceed zero. Statistics: about
-    #: 95 %.
+    #: Standard errors by which the mean gain on held-out parts, and the coefficients, must exceed
+    #: zero. Statistics: about 95 %.
     gain_deviations: float = 2.0
-    #: Standard errors by which it must exceed zero for the effect to be named. Statistics: 99 % of
-    #: Student's t of ten parts; hundreds of candidates are compared.
+    #: Standard errors by which one of the two must exceed zero for the effect to be added, and both
+    #: for it to be named. Statistics: 99 % of Student's t of ten parts; hundreds of candidates are
+    #: compared.
     name_deviations: float = 3.0
     #: Least relative fall of the held-out error of a joint (`--worth`). Simulations.
     worth: float = 0.03

@@ -178,17 +178,31 @@ def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
     np.testing.assert_array_equal(again.values, diagnosis.fit.values)
 
 
-def test_a_name_needs_coefficients_of_three_standard_deviations(monkeypatch):
+def test_an_effect_needs_one_certain_evidence_and_its_name_both(monkeypatch):
     train = two_runs(("stribeck", 0, 1.0))[0]
     (step,) = lieid.diagnose(MODEL, train).steps
     ratio = step.parameters["f_s-f_c"] / step.std["f_s-f_c"]
     assert step.status == "named"
     assert step.evidence.coefficient_deviations == pytest.approx(ratio, rel=1e-9)
     monkeypatch.setattr(Accepted, "coefficient_deviations", lambda self, fit: 2.75)
+    assert step.evidence.gain_certainty > 3.0
     doubtful = lieid.diagnose(MODEL, train)
     assert [(s.label, s.status, s.rivals) for s in doubtful.steps] == [(step.label, "one_of", ())]
     assert "it is only 2.8 standard deviations from zero" in doubtful.sentences[0]
     assert doubtful.to_dict()["steps"][0]["evidence"]["coefficient_deviations"] == 2.75
+    for limits, reason in (
+        (
+            {"gain_deviations": 2.9},
+            "its coefficients are 2.8 standard deviations from zero (limit 2.9)",
+        ),
+        (
+            {"name_deviations": 100.0},
+            "its coefficients are 2.8 standard deviations from zero (one: 100)",
+        ),
+    ):
+        without = lieid.diagnose(MODEL, train, options=DiagnosisOptions(**limits))
+        assert without.steps == ()
+        assert dict(without.rejected)[step.label].endswith(reason)
 
 
 def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
