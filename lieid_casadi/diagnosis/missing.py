@@ -306,7 +306,7 @@ class MissingEffects:
             label, reason = found.placement.label, self._undetermined(found, accepted, fit)
             if reason is not None:
                 self.rejected[label] = reason
-                self.undecided[label] = max(
+                self.undecided[label] = min(
                     found.coefficient_deviations(fit), found.evidence.gain_certainty
                 )
                 return [a for a in accepted if a is not found]

@@ -129,9 +129,8 @@ class Accepted:
 def _doubt(found: Round, slot: Slot, others: Sequence[int], options: DiagnosisOptions) -> Doubt:
     """Return why the name of an effect is not certain, or an empty text."""
     candidate = found.candidate(slot.group)
-    if (
-        slot.selected < 1.0
-    ):  # without a part of the data something else was in its place, or nothing
+    # without a part of the data something else was in its place, or nothing
+    if slot.selected < 1.0:
         return "selected"
     if slot.certainty < options.name_deviations:
         return "gain"

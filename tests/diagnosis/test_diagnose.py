@@ -203,6 +203,7 @@ def test_an_effect_needs_one_certain_evidence_and_its_name_both(monkeypatch):
         without = lieid.diagnose(MODEL, train, options=DiagnosisOptions(**limits))
         assert without.steps == ()
         assert dict(without.rejected)[step.label].endswith(reason)
+        assert dict(without.undecided)[step.label] == 2.75  # more data would decide
 
 
 def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
