@@ -202,9 +202,9 @@ def _without_later_functions(
 
 def gains_of(before: float | Array, after: float | Array) -> Array:
     """Return ln of RMS errors over later ones, from sums of squares; 0 without rows."""
-    known = np.where(np.asarray(before) > 0.0, before, 1.0)
-    least = np.maximum(np.where(np.asarray(before) > 0.0, after, 1.0), SMALLEST * known)
-    return np.asarray(0.5 * np.log(known / least))
+    before, after = np.asarray(before), np.asarray(after)
+    part = np.divide(after, before, out=np.ones(before.shape), where=before > 0.0)
+    return np.asarray(-0.5 * np.log(np.maximum(part, SMALLEST)))
 
 
 class HeldOut:

@@ -303,12 +303,10 @@ class MissingEffects:
         the error at all.
         """
         for found in reversed(accepted):
-            label, reason = found.placement.label, self._undetermined(found, accepted, fit)
-            if reason is not None:
-                self.rejected[label] = reason
-                self.undecided[label] = min(
-                    found.coefficient_deviations(fit), found.evidence.gain_certainty
-                )
+            undetermined = self._undetermined(found, accepted, fit)
+            if undetermined is not None:
+                label = found.placement.label
+                self.rejected[label], self.undecided[label] = undetermined
                 return [a for a in accepted if a is not found]
         model, left = FinalModel.of(fit, self.segments, None), list(accepted)
         torques = [model.part_of_torque(a.placement, a.joint) for a in left]
@@ -330,20 +328,25 @@ class MissingEffects:
             )
         return left if len(left) < len(accepted) else self._moving_better(fit, left)
 
-    def _undetermined(self, found: Accepted, accepted: Sequence[Accepted], fit: Fit) -> str | None:
-        """Return why noise may be all of an effect in the fit of all effects, or None."""
+    def _undetermined(
+        self, found: Accepted, accepted: Sequence[Accepted], fit: Fit
+    ) -> tuple[str, float] | None:
+        """Return why noise may be all of an effect beside all others, and its deviations; or None.
+
+        Those are the fewer of its gain's and its coefficients'.
+        """
         elsewhere = _elsewhere(found.candidate, [a.candidate for a in accepted])
         least, certain = (
             evidence_needed(limit, elsewhere)
             for limit in (self.options.gain_deviations, self.options.name_deviations)
         )
         gain, coefficients = found.evidence.gain_certainty, found.coefficient_deviations(fit)
+        text = f"its coefficients are {coefficients:.1f} standard deviations from zero"
         if coefficients < least:
-            text = f"its coefficients are {coefficients:.1f} standard deviations from zero"
-            return f"{text} (limit {least:g})"
+            return f"{text} (limit {least:g})", min(gain, coefficients)
         if max(coefficients, gain) < certain:  # either may be known roughly only
-            text = f"its gain is certain to {gain:.1f} standard errors and its coefficients are"
-            return f"{text} {coefficients:.1f} standard deviations from zero (one: {certain:g})"
+            both = f"its gain is certain to {gain:.1f} standard errors and {text}"
+            return f"{both} (one: {certain:g})", min(gain, coefficients)
         return None
 
     def _moving(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:

@@ -17,15 +17,7 @@ from lieid_casadi.diagnosis.rivals import changes_at_once, rivals_of
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round
 from lieid_casadi.diagnosis.smooth_functions import formula_of, named_column
-from lieid_casadi.diagnosis.step import (
-    Doubt,
-    Evidence,
-    Fall,
-    Rival,
-    Status,
-    Step,
-    Unexplained,
-)
+from lieid_casadi.diagnosis.step import Doubt, Evidence, Fall, Rival, Status, Step, Unexplained
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.effects.registry import usable
 from lieid_casadi.errors import LateFrictionWarning
