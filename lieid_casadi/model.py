@@ -44,12 +44,19 @@ class Parameter:
     upper: float = np.inf
     initial: float = 0.0
     fitted: bool = True  # False for what the training gives, such as the end of a signal's range
+    source: int | None = None  # from 0: the joint whose motion acts, of a coupling
 
     @property
     def label(self) -> str:
-        """Name with its joint from 1: ``Izz3``, ``stribeck.v_s:4``."""
+        """Name with its joints from 1: ``Izz3``, ``stribeck.v_s:4``, ``….f_c:5<6``."""
         between = ":" if "." in self.name else ""
-        return f"{self.name}{between}{self.joint + 1}"
+        acting = "" if self.source is None else f"<{self.source + 1}"
+        return f"{self.name}{between}{self.joint + 1}{acting}"
+
+    def belongs_to(self, placement: Placement) -> bool:
+        """Return whether it is a parameter of a placed effect."""
+        effect, own = self.name.rpartition(".")[0], (self.joint, self.source)
+        return effect == placement.effect.label and own == (placement.joint, placement.source)
 
 
 @dataclass(frozen=True)
@@ -262,6 +269,7 @@ class Model:
                 upper=getattr(x, "upper", np.inf),
                 initial=getattr(x, "initial", 0.0),
                 fitted=getattr(x, "data", None) is None,
+                source=p.source,
             )
             for p in self.placements
             for x in getattr(p.effect, kind)

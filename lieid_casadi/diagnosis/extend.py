@@ -159,14 +159,12 @@ def extend(
 
 def _doubtful(fit: Fit, added: Sequence[Placement]) -> list[LieidWarning]:
     """Return warnings about coefficients of added effects: negative friction, not significant."""
-    coefficients = {
-        (f"{placement.effect.label}.{c.name}", placement.joint): c
-        for placement in added
-        for c in placement.effect.coefficients
-    }
+    alone = Model.of_placements(fit.model.robot, added)
+    known = [c for p in alone.placements for c in p.effect.coefficients]
+    coefficients = {p.label: c for p, c in zip(alone.columns, known, strict=True)}
     found: list[LieidWarning] = []
     for parameter, value, std in zip(fit.model.base_columns, fit.values, fit.std, strict=False):
-        coefficient = coefficients.get((parameter.name, parameter.joint))
+        coefficient = coefficients.get(parameter.label)
         if coefficient is None:
             continue
         size = f"{parameter.label} = {value:.3g} ± {std:.2g} {parameter.unit}"

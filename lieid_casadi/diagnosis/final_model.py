@@ -64,11 +64,8 @@ class FinalModel:
 
     def columns_of(self, placements: Sequence[Placement]) -> Indices:
         """Return the columns of placed effects."""
-        found = []
-        for k, parameter in enumerate(self.fit.model.base_columns):
-            name = parameter.name.rpartition(".")[0]
-            if any(name == p.effect.label and parameter.joint == p.joint for p in placements):
-                found.append(k)
+        fitted = self.fit.model.base_columns
+        found = [k for k, p in enumerate(fitted) if any(map(p.belongs_to, placements))]
         return np.array(found, dtype=np.intp)
 
     def part_of_torque(self, effect: Placement, joint: int) -> float:

@@ -105,10 +105,8 @@ class Accepted:
 
     def coefficient_deviations(self, fit: Fit) -> float:
         """Return how far its coefficients together are from zero, in standard deviations."""
-        effect, joint = self.placement.effect, self.placement.joint
-        names = {f"{effect.label}.{c.name}" for c in effect.coefficients}
         fitted = fit.model.base_columns
-        own = [k for k, p in enumerate(fitted) if p.name in names and p.joint == joint]
+        own = [k for k, p in enumerate(fitted) if p.belongs_to(self.placement)]
         covariance = fit.covariance[np.ix_(own, own)]
         if not own or not np.isfinite(covariance).all():
             return float("nan")
@@ -145,7 +143,7 @@ def fitted_values(
     found = {
         p.name.rpartition(".")[2]: (float(value), float(std), p.unit)
         for p, value, std in zip(fit.fitted, numbers, fit.std, strict=True)
-        if p.name.rpartition(".")[0] == effect.label and p.joint == placement.joint
+        if p.belongs_to(placement)
     }
     values = [found[c.name][0] if c.name in found else np.nan for c in effect.coefficients]
     shapes = [found[s.name][0] if s.name in found else np.nan for s in effect.shapes]

@@ -253,7 +253,8 @@ class Fit:
     def parameter_table(self) -> list[dict[str, Any]]:
         """Return one row per fitted number: name, joint (from 1), value, std, unit.
 
-        ``relative_std`` is std/|value|, None where it is not finite.
+        ``source`` is the joint (from 1) whose motion acts, of a coupling; ``relative_std`` is
+        std/|value|. Both are None otherwise, the latter where it is not finite.
         """
         numbers = np.concatenate([self.values, self.shapes])
         expressions = [self.model.base.expression(k) for k in range(len(self.values))]
@@ -262,6 +263,7 @@ class Fit:
             {
                 "name": parameter.name,
                 "joint": parameter.joint + 1,
+                "source": None if parameter.source is None else parameter.source + 1,
                 "value": float(value),
                 "std": number_or_none(std),
                 "relative_std": float(std / abs(value)) if value and np.isfinite(std) else None,

@@ -115,7 +115,9 @@ def _array(numbers: list[Any] | None) -> Array | None:
 def _check_sizes(model: Model, content: Content) -> None:
     """Raise `FitFileError` where lists do not have the model's sizes, or variances are negative."""
     fitted = [*model.base_columns, *model.shapes]
-    if [p.label for p in fitted] != content.names:
+    names = [p.label for p in fitted]
+    # version 0.2 left out the joint whose motion acts, of a coupling
+    if content.names not in (names, [name.partition("<")[0] for name in names]):
         raise FitFileError(
             "its parameters are not those that this version derives for its robot and effects; "
             "fit again"

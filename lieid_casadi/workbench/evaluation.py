@@ -162,18 +162,17 @@ def difference_tables(
 
 def effect_rows(fit: Fit) -> tuple[EffectRow, ...]:
     """Return one row per effect and joint, in the model's order."""
-    values: dict[tuple[str, int], list[str]] = {}
-    for row in fit.parameter_table():
-        name, _, parameter = row["name"].rpartition(".")
-        values.setdefault((name, row["joint"] - 1), []).append(
-            parameter_text(parameter, row["value"], row["std"], row["unit"])
-        )
+    numbers = list(zip(fit.fitted, fit.parameter_table(), strict=True))
     rows = []
     for p in fit.model.placements:
-        label, joint = p.effect.label, None if p.whole_arm else p.joint
-        absorbed = f"{label} is not identifiable apart from the other parameters"
-        shown = tuple(values.get((label, p.joint), ())) or (absorbed,)
-        rows.append(EffectRow(p.label, joint, shown))
+        own = [row for parameter, row in numbers if parameter.belongs_to(p)]
+        shown = tuple(
+            parameter_text(row["name"].rpartition(".")[2], row["value"], row["std"], row["unit"])
+            for row in own
+        )
+        absorbed = f"{p.effect.label} is not identifiable apart from the other parameters"
+        joint = None if p.whole_arm else p.joint
+        rows.append(EffectRow(p.label, joint, shown or (absorbed,)))
     return tuple(rows)
 
 
