@@ -9,7 +9,7 @@ error is larger than it was on other motion.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from lieid_casadi.diagnosis.evidence import Slot, solved
 from lieid_casadi.diagnosis.folds import redundancy
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
+from lieid_casadi.diagnosis.path import Span
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
@@ -70,14 +71,16 @@ def diagnose_changed(
     )
     changes, rejected = _changes(found, raised, options.least_misfit * rises, options)
     report("describe the changes", 0.8)
-    after, beyond = _errors(found, changes)
+    after, beside = _misfit(rows, expected, _torques(found, changes)), _beside(found, changes)
     steps = _steps(found, changes, first * expected, noise, options)
+    beyond = _by_joint(beside, beside.residual)
     ratio = np.where(np.isfinite(beyond), beyond, 0.0)
-    rest = _residuals(rows, expected, _torques(found, changes))
-    rest = [r / w for r, w in zip(rest, rows.weights(expected), strict=True)]
     parts = tuple(
         Unexplained(
-            int(j), float(1.0 - ratio[j] ** -2), float(ratio[j]), followed_signals(rows, j, rest[j])
+            int(j),
+            float(1.0 - ratio[j] ** -2),
+            float(ratio[j]),
+            followed_signals(rows, beside, j, expected),
         )
         for j in np.argsort(-ratio)
         if ratio[j] > options.largest_change
@@ -215,18 +218,17 @@ def _falls(found: Round, changes: Sequence[_Change], one: _Change) -> Array:
     is without the torque of the one. So neither an error that the uncertain parameters explain
     hides a change, nor do these parameters take the place of its torque.
     """
-    span = found.paths.span
-    rest = span.residual - sum(found.paths.outside(c.slot.group) @ c.values for c in changes)
-    torque = np.zeros(len(rest))
+    span = _beside(found, changes)
+    torque = np.zeros(len(span.residual))
     own = found.paths.columns.stacked(one.slot.group) @ one.values
     torque[: len(own)] = own
-    after, before = (_by_joint(found, x) for x in (rest, rest + torque))
+    after, before = (_by_joint(span, x) for x in (span.residual, span.residual + torque))
     return 1.0 - np.divide(after, before, out=np.ones(len(after)), where=before > 0.0)
 
 
-def _by_joint(found: Round, rest: Array) -> Array:
+def _by_joint(span: Span, rest: Array) -> Array:
     """Return the weighted RMS of each joint (n,); 0 without rows."""
-    rows = [rest[found.paths.span.joint(j)] for j in range(len(found.paths.span.ends) - 1)]
+    rows = [rest[span.joint(j)] for j in range(len(span.ends) - 1)]
     return np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in rows])
 
 
@@ -235,31 +237,20 @@ def _torques(found: Round, changes: Sequence[_Change]) -> list[Array]:
     return [found.paths.columns.stacked(c.slot.group) @ c.values for c in changes]
 
 
-def _residuals(rows: Rows, expected: Array, torques: Sequence[Array]) -> list[Array]:
-    """Return each joint's weighted residual (R_j,) of the kept model with some torques."""
+def _misfit(rows: Rows, expected: Array, torques: Sequence[Array]) -> Array:
+    """Return each joint's error with some torques, relative to that expected (n,)."""
     weights = rows.weights(expected)
     residual = np.concatenate([r * w for r, w in zip(rows.residual, weights, strict=True)])
     ends = np.cumsum([run.count for run in rows.runs])[:-1]
-    return np.split(residual - sum(torques, start=np.zeros(len(residual))), ends)
-
-
-def _misfit(rows: Rows, expected: Array, torques: Sequence[Array]) -> Array:
-    """Return each joint's error relative to the expected one (n,); NaN without rows."""
-    parts = _residuals(rows, expected, torques)
+    parts = np.split(residual - sum(torques, start=np.zeros(len(residual))), ends)
     return np.array([np.sqrt(np.mean(p**2)) if len(p) else np.nan for p in parts])
 
 
-def _errors(found: Round, changes: Sequence[_Change]) -> tuple[Array, Array]:
-    """Return each joint's error (n,) relative to the expected one with all changes.
-
-    First of the kept model, then without what the uncertainty of its parameters explains.
-    """
-    torques = _torques(found, changes)
-    rest = found.paths.span.residual - sum(
-        (found.paths.outside(c.slot.group) @ c.values for c in changes),
-        start=np.zeros(len(found.paths.span.residual)),
-    )
-    return _misfit(found.rows, found.spread, torques), _by_joint(found, rest)
+def _beside(found: Round, changes: Sequence[_Change]) -> Span:
+    """Return the kept model with what all changes and its uncertainty leave of the residual."""
+    span = found.paths.span
+    torques = (found.paths.outside(c.slot.group) @ c.values for c in changes)
+    return replace(span, residual=span.residual - sum(torques, start=np.zeros(len(span.residual))))
 
 
 def _steps(

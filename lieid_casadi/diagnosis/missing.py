@@ -111,11 +111,13 @@ class MissingEffects:
             final, accepted, last_rows, torque, after, name_deviations=options.name_deviations
         )
         steps = tuple(replace(step, motion=self.gains.get(step.label)) for step in steps)
+        spread = last_rows.spread()
+        span = last_rows.span(spread)
         parts = unexplained_parts(
             fitted,
             after,
             self.rejected,
-            lambda j: followed_signals(last_rows, j, last_rows.residual[j]),
+            lambda j: followed_signals(last_rows, span, j, spread),
             options,
         )
         shown = after or fitted

@@ -18,6 +18,7 @@ from lieid_casadi.diagnosis.columns import (
     evaluate,
     scan_peaks,
 )
+from lieid_casadi.diagnosis.path import Span
 from lieid_casadi.effects import Effect
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
@@ -123,6 +124,13 @@ class Rows:
     def weights(self, spread: Array) -> list[Array]:
         """Return the weight (R_j,) of each row that gives it unit variance, 1/(N·m)."""
         return [run.weights(float(s)) / float(s) for run, s in zip(self.runs, spread, strict=True)]
+
+    def span(self, spread: Array, prior: Array | None = None) -> Span:
+        """Return the span of the model's columns, weighted by `weights`; see `Span.of`."""
+        weights = self.weights(spread)
+        model = [m * w[:, None] for m, w in zip(self.model, weights, strict=True)]
+        residual = [r * w for r, w in zip(self.residual, weights, strict=True)]
+        return Span.of(model, residual, prior)
 
     @cached_property
     def times(self) -> Array:

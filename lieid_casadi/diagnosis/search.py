@@ -95,7 +95,8 @@ def search(
             scale = rows.spread(rests[0])
         rows = rows.with_candidates(_refined(paths, whole, rows))
     if with_smooth:
-        known = {c.label: c for c in smooth_candidates(rows, rests, scale) if wanted(c)}
+        span = rows.span(scale, prior)
+        known = {c.label: c for c in smooth_candidates(rows, span, rests, scale) if wanted(c)}
         rows = rows.with_candidates([*rows.columns.owners, *known.values()])
     if prior is None:
         rows = _with_single_recordings(rows)
@@ -121,8 +122,8 @@ def _judged(
 
     Smooth functions come first on the joints where the error of the held-out parts is lower so, or
     where only so anything lowers it: many effects of the library together resemble a torque that
-    none of them describes. Where one function is all and the library needs such a function as
-    well, or several effects, any lower error is enough.
+    none of them describes. Where fewer effects are supported so, any lower error is enough; a
+    smooth function that the library needs as well counts as one.
     """
     rules = _rules(paths.columns, rows, options, dependence)
     every = range(len(rows.runs))
@@ -157,7 +158,7 @@ def _judged(
     needed = {paths.columns.candidate(g).joint for g in whole if rules.smooth[g]}
     lower = after.sum(axis=0) < before.sum(axis=0)
     better = {j for j in first if smooth[j] and not plain[j]}
-    better |= {j for j in first if lower[j] and smooth[j] == 1 and (j in needed or plain[j] > 1)}
+    better |= {j for j in first if lower[j] and 0 < smooth[j] < plain[j] + (j in needed)}
     better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
     if better == first:
         return folds, so
@@ -227,10 +228,7 @@ def _with_single_recordings(rows: Rows) -> Rows:
 
 
 def _weighted(rows: Rows, spread: Array, prior: Array | None) -> tuple[Span, Columns]:
-    weights = rows.weights(spread)
-    model = [m * w[:, None] for m, w in zip(rows.model, weights, strict=True)]
-    residual = [r * w for r, w in zip(rows.residual, weights, strict=True)]
-    return Span.of(model, residual, prior), rows.columns.weighted(weights)
+    return rows.span(spread, prior), rows.columns.weighted(rows.weights(spread))
 
 
 def _dependence(columns: Columns, noise: Sequence[Noise]) -> Array:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.findings import number
+from lieid_casadi.diagnosis.path import Span
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.registry import make
@@ -40,27 +41,27 @@ LEAST_EXPLAINED = 0.8  # of the variance, by a formula that is stated
 
 
 def smooth_candidates(
-    rows: Rows, residuals: Sequence[Sequence[Array]], spread: Array
+    rows: Rows, span: Span, residuals: Sequence[Sequence[Array]], spread: Array
 ) -> list[Candidate]:
     """Return the smooth functions that one of several residuals follows most on each joint.
 
     Each residual has the values (R_j,) of every joint; ``spread`` (n,) is the standard deviation of
-    the noise, N·m.
+    the noise, N·m, by which the rows of ``span`` are weighted.
     """
     found: dict[str, Candidate] = {}
+    weights = rows.weights(spread)
+    every = np.column_stack([np.concatenate(residual) for residual in residuals])
+    outside = span.outside(every * np.concatenate(weights)[:, None])
     for joint in sorted({c.joint for c in rows.columns.owners}):
-        weights = rows.weights(spread)[joint][:, None]
-        basis, _ = np.linalg.qr(rows.model[joint] * weights)
-        targets = np.column_stack([r[joint] for r in residuals]) * weights
-        targets -= basis @ (basis.T @ targets)
+        own_rows, weight = span.joint(joint), weights[joint][:, None]
         polynomials = dict(_polynomials(rows, joint))
         for count in (1, 2):
             signals = list(combinations(polynomials, count))
             scores = np.zeros((len(signals), len(residuals)))
             for k, names in enumerate(signals):
-                columns = _products(names, polynomials) * weights
-                cost = columns.shape[1] * np.log(max(len(weights), 2))
-                scores[k] = _gains(columns, targets, basis) - cost
+                columns = _products(names, polynomials) * weight
+                cost = columns.shape[1] * np.log(max(len(weight), 2))
+                scores[k] = _gains(columns, outside[own_rows], span.basis[own_rows]) - cost
             of_joint = np.array([not any(map(_of_other, names)) for names in signals], dtype=bool)
             for of_residual in scores.T:
                 for own in (of_joint, ~of_joint):
@@ -71,13 +72,15 @@ def smooth_candidates(
     return list(found.values())
 
 
-def followed_signals(rows: Rows, joint: int, residual: Array) -> tuple[str, ...]:
-    """Return the one or two signals that a joint's residual (R_j,) follows most; ``t`` is time."""
-    if not len(residual):  # a joint that does not move in these recordings
+def followed_signals(rows: Rows, span: Span, joint: int, spread: Array) -> tuple[str, ...]:
+    """Return the one or two signals that a joint's residual follows most; ``t`` is time.
+
+    The residual is that of ``span``, whose rows are weighted by ``spread`` (n,), N·m.
+    """
+    basis, target = (x[span.joint(joint)] for x in (span.basis, span.residual))
+    if not len(target):  # a joint that does not move in these recordings
         return ()
-    basis, _ = np.linalg.qr(rows.model[joint])
-    target = (residual - basis @ (basis.T @ residual))[:, None]
-    target *= np.sqrt(len(target)) / max(float(np.linalg.norm(target)), 1e-300)
+    total, weight = max(float(target @ target), 1e-300), rows.weights(spread)[joint][:, None]
     polynomials = dict(_polynomials(rows, joint))
     known: dict[tuple[str, ...], Array] = {(a,): x for a, x in polynomials.items()}
     known["t",] = _slow(rows, joint, WAVES)
@@ -89,7 +92,7 @@ def followed_signals(rows: Rows, joint: int, residual: Array) -> tuple[str, ...]
     best: tuple[str, ...] = ()
     most = 0.0
     for names, columns in known.items():
-        part = float(_gains(columns, target, basis)[0]) / len(target)
+        part = float(_gains(columns * weight, target[:, None], basis)[0]) / total
         score = -seconds * np.log(max(1.0 - part, 1e-6)) - columns.shape[1] * np.log(seconds)
         if score > most and part > LEAST_FOLLOWED:
             best, most = names, score
@@ -165,7 +168,11 @@ def _measured(rows: Rows) -> bool:
 
 
 def _gains(columns: Array, targets: Array, basis: Array) -> Array:
-    """Return the fall of the sum of squares of targets outside a basis by columns outside it."""
+    """Return the fall of the sum of squares of targets by a joint's columns outside the model.
+
+    ``basis`` (R_j, p) are the joint's rows of an orthonormal basis of the model on all joints,
+    since the parameters of a link act on several.
+    """
     along, products = basis.T @ columns, columns.T @ targets
     gram = columns.T @ columns
     ridge = RIDGE * np.maximum(np.diag(gram), 1e-300)
@@ -189,12 +196,12 @@ def formula_of(rows: Rows, placement: Placement, own: NDArray[np.intp], values: 
     coefficients.
     """
     joint = placement.joint
-    others = np.delete(rows.model[joint], own, axis=1)
-    basis, sizes, _ = np.linalg.svd(others / _size(others), full_matrices=False)
-    basis = basis[:, sizes > DEPENDENT * sizes.max(initial=0.0)]
+    span = Span.of([np.delete(m, own, axis=1) for m in rows.model], rows.residual)
     texts, columns = _elementary(rows, placement)
-    torque = rows.model[joint][:, own] @ values
-    rest, target = (x - basis @ (basis.T @ x) for x in (columns, torque))
+    both = np.zeros((len(span.joint_of), len(texts) + 1))
+    both[span.joint(joint)] = np.column_stack([columns, rows.model[joint][:, own] @ values])
+    outside = span.outside(both)
+    rest, target = outside[:, :-1], outside[:, -1]
     chosen: list[int] = []
     found, explained = np.zeros(0), 0.0
     while len(chosen) < MOST_TERMS and explained < CLOSE:

@@ -224,7 +224,7 @@ def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
 def test_smooth_functions_are_chosen_beside_the_path(monkeypatch):
     """A refined grid numbers groups anew: those of the path are not the same numbers of later."""
 
-    def compared(rows, residuals, spread):
+    def compared(rows, span, residuals, spread):
         np.testing.assert_allclose(rows.spread(residuals[0]), spread, rtol=1e-9)
         raise KeyError
 
@@ -412,7 +412,8 @@ def test_the_signals_that_an_error_follows_are_stated(torque, signals):
     fit = lieid.identify(MODEL, recording)
     segments = process([recording], fit.processing)
     rows = Rows.of(fit, segments, with_candidates=False)
-    assert followed_signals(rows, 0, rows.residual[0]) == signals
+    spread = rows.spread()
+    assert followed_signals(rows, rows.span(spread), 0, spread) == signals
 
 
 def test_json_has_the_stated_keys():
