@@ -5,10 +5,14 @@ import json
 import numpy as np
 import pytest
 from plant.recordings import recorded
+from robot.random_arms import random_arm
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.diagnosis.steps import fitted_values
 from lieid_casadi.errors import EffectError, FitFileError
+from lieid_casadi.exporters.export import export_samples
+from lieid_casadi.workbench.evaluation import effect_rows
 
 ROBOT = lieid.robots.two_link()
 
@@ -79,6 +83,63 @@ def test_schema_2_is_migrated(fit, text, tmp_path):
         del old["provenance"][entry]
     old["processing"] |= {"order": 4, "average_periods": False, "smoother": "butterworth"}
     assert loaded(json.dumps(old), tmp_path).provenance == fit.provenance
+
+
+@pytest.fixture(scope="module")
+def coupled():
+    """Two couplings on joint 1, of joints 2 and 3."""
+    robot = random_arm(np.random.default_rng(3), 3, mixed=False)
+    friction = plant.JointFriction(*np.full((3, 3), 2.0))
+    true = [(1, 0.6, 0.4), (2, -0.5, 0.9)]
+    hidden = [
+        plant.TransmissionCoupling(0, source=source, viscous_coefficient=viscous, coulomb=coulomb)
+        for source, viscous, coulomb in true
+    ]
+    sensors = plant.Sensors(rate=100.0, torque_noise=0.02)
+    arm = plant.Arm(robot, robot.link_parameters, friction, tuple(hidden))
+    couplings = "transmission_coupling:1<2,transmission_coupling:1<3"
+    return lieid.identify(
+        lieid.Model(robot, f"coulomb,viscous,offset,{couplings}"),
+        recorded(arm, 2, seconds=15.0, step=0.01, sensors=sensors),
+        method="feasible",
+        processing=lieid.Processing(cutoff=8.0),
+    ), true  # fmt: skip
+
+
+def test_two_couplings_on_one_joint_have_their_own_numbers(coupled):
+    fit, true = coupled
+    placements = [p for p in fit.model.placements if p.source is not None]
+    for placement, (source, viscous, coulomb) in zip(placements, true, strict=True):
+        values, _, by_name = fitted_values(fit, placement)
+        np.testing.assert_allclose(values, [viscous, coulomb], atol=0.05)
+        for row in fit.parameter_table():
+            if row["source"] == source + 1:
+                assert row["value"] == by_name[row["name"].rpartition(".")[2]][0]
+    shown = {row.label: row.values for row in effect_rows(fit)}
+    assert [len(shown[p.label]) for p in placements] == [2, 2]
+    assert shown[placements[0].label] != shown[placements[1].label]
+
+
+def test_samples_of_two_couplings_are_apart(coupled, tmp_path):
+    fit, _ = coupled
+    samples = fit.sample(3, seed=1)
+    export_samples(samples, tmp_path)
+    arrays = np.load(tmp_path / "samples.npz")
+    names = list(arrays["effect_coefficients_names"])
+    assert names == [p.label for p in fit.model.columns]
+    own = [names.index(f"transmission_coupling.f_c:1<{source}") for source in (2, 3)]
+    drawn = arrays["effect_coefficients"][:, own]
+    np.testing.assert_allclose(drawn.mean(axis=0), [0.4, 0.9], atol=0.1)
+
+
+def test_a_file_whose_names_lack_the_acting_joint_is_read(coupled, tmp_path):
+    fit, _ = coupled
+    fit.save(tmp_path / "fit.json")
+    content = json.loads((tmp_path / "fit.json").read_text("utf-8"))
+    content["names"] = [name.partition("<")[0] for name in content["names"]]  # version 0.2
+    np.testing.assert_array_equal(loaded(json.dumps(content), tmp_path).values, fit.values)
+    content["names"][-1] = "transmission_coupling.f_c:2"
+    assert "parameters are not those" in refusal(json.dumps(content), tmp_path)
 
 
 @pytest.mark.parametrize(
