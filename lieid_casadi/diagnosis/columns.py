@@ -136,16 +136,23 @@ class Columns:
 
     @cached_property
     def support(self) -> Array:
-        """Effective number of rows (Σc²)²/Σc⁴ of the least supported column of each group (G,)."""
-        squares, fourth = np.zeros(self.count), np.zeros(self.count)
+        """Effective number of rows of each group (G,): (Σu)²/Σu², with u = Σ c²/‖c‖² of a row.
+
+        That is (Σc²)²/Σc⁴ of a single column c. Some knots of a spline may have few rows.
+        """
+        squares = np.zeros(self.count)
         for own in self.joints:
-            square = own.matrix**2
-            squares[own.columns] += square.sum(axis=0)
-            fourth[own.columns] += np.einsum("rc,rc->c", square, square)
-        # a column of zeros, as on a planar arm, does not disqualify the others of its group
-        each = np.divide(squares**2, fourth, out=np.full_like(squares, np.inf), where=fourth > 0.0)
-        least = np.minimum.reduceat(each, self.start) if self.count else np.zeros(0)
-        return np.where(np.isfinite(least), least, 0.0)
+            squares[own.columns] += np.einsum("rc,rc->c", own.matrix, own.matrix)
+        group = np.repeat(np.arange(len(self.size)), self.size)
+        scale = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
+        whole, fourth = np.zeros((2, len(self.size)))
+        for own in self.joints:
+            here, first = np.unique(group[own.columns], return_index=True)
+            if len(here):
+                part = np.add.reduceat(own.matrix**2 * scale[own.columns], first, axis=1)
+                whole[here] += part.sum(axis=0)
+                fourth[here] += np.einsum("rg,rg->g", part, part)
+        return np.divide(whole**2, fourth, out=np.zeros_like(whole), where=fourth > 0.0)
 
     def dense(self, group: int) -> list[Array]:
         """Return a group's columns on the rows of each joint: (R_j, k) each."""

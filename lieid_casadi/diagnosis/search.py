@@ -20,7 +20,7 @@ from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows
-from lieid_casadi.diagnosis.smooth_functions import smooth_candidates
+from lieid_casadi.diagnosis.smooth_functions import alternatives, smooth_candidates
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.smooth import Smooth
 from lieid_casadi.identification.uncertainty.noise_model import Noise, noise_of
@@ -264,8 +264,10 @@ def _rules(
     forms = np.array([is_form(c.effect) for c in columns.owners], dtype=bool)
     more = np.ones(len(columns.size)) if dependence is None else dependence
     independent = np.maximum(count[columns.owner] / more, 2.0)
+    alike = np.array([alternatives(rows, c) for c in columns.owners], dtype=float)[columns.owner]
+    cost = columns.parameters * np.log(independent) + 2.0 * np.log(alike)
     return Rules(
-        options.penalty * columns.parameters * more * np.log(independent),
+        options.penalty * more * cost,
         (columns.support > LEAST_SUPPORT) & ~forms[columns.owner],
         np.array([c.name == SMOOTH for c in columns.owners], dtype=bool)[columns.owner],
         allowed,

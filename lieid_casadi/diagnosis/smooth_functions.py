@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
+from math import comb
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -22,6 +23,7 @@ from lieid_casadi.diagnosis.path import Span
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.registry import make
+from lieid_casadi.effects.smooth import Smooth
 from lieid_casadi.identification.regression.variable_projection import shapes_of_data
 from lieid_casadi.model import Model
 
@@ -70,6 +72,16 @@ def smooth_candidates(
                     wanted = [_candidate(rows, signals[k], joint) for k in best]
                     found |= {candidate.label: candidate for candidate in wanted}
     return list(found.values())
+
+
+def alternatives(rows: Rows, candidate: Candidate) -> int:
+    """Return how many candidates of its kind are on its joint: of other signals or joints."""
+    if candidate.name != Smooth.name:
+        return len(rows.runs) - 1 if candidate.effect.couples else 1
+    names, joint = candidate.effect.option.split("."), candidate.joint
+    every = _signals(rows, joint)
+    alone, whole = (comb(n, len(names)) for n in (sum(j == joint for _, j in every), len(every)))
+    return whole - alone if any(map(_of_other, names)) else alone
 
 
 def followed_signals(rows: Rows, span: Span, joint: int, spread: Array) -> tuple[str, ...]:
@@ -138,11 +150,16 @@ def _products(names: Sequence[str], polynomials: Mapping[str, Array]) -> Array:
     return products if letters == ["dq", "dq"] else np.hstack([*modulated, products])
 
 
+def _signals(rows: Rows, joint: int) -> list[tuple[str, int]]:
+    """Return the signals of which a torque on a joint may be a function, and their joints."""
+    own = [(name, joint) for name in FIELDS if name != "temp" or _measured(rows)]
+    others = [j for j in range(len(rows.runs)) if j != joint]
+    return own + [(name, j) for j in others for name in OTHERS]
+
+
 def _polynomials(rows: Rows, joint: int) -> Iterator[tuple[str, Array]]:
     """Yield the name of each signal as in ``smooth/dq.q5``, and polynomials of it (R_j, k)."""
-    names = [(name, joint) for name in FIELDS if name != "temp" or _measured(rows)]
-    names += [(name, j) for j in range(len(rows.runs)) if j != joint for name in OTHERS]
-    for name, j in names:
+    for name, j in _signals(rows, joint):
         values = _along(rows, joint, FIELDS[name], j)
         low, high = np.percentile(values, [0.5, 99.5]) if len(values) else (0.0, 0.0)
         if high - low < 1e-9:

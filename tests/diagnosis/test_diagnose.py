@@ -3,16 +3,19 @@
 import json
 from dataclasses import replace
 from functools import cache
+from itertools import combinations
 
 import numpy as np
 import pytest
 from experiments.arms import arm as stribeck_arm
 from experiments.arms import sines
+from plant.recordings import recorded
+from robot.random_arms import random_arm
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import DiagnosisOptions, search
+from lieid_casadi.diagnosis import DiagnosisOptions, search, smooth_functions
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.findings import finding
 from lieid_casadi.diagnosis.folds import folds_of
@@ -21,6 +24,7 @@ from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
 from lieid_casadi.diagnosis.step import Evidence
 from lieid_casadi.diagnosis.steps import Accepted, beside_smooth_functions, other_forms
+from lieid_casadi.effects import Placement, make
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
     EffectError,
@@ -233,12 +237,44 @@ def test_smooth_functions_are_chosen_beside_the_path(monkeypatch):
         diagnosis_of(("stribeck", 0, 2.0), ("load_friction", 1, 2.0), seed=5)
 
 
-def test_cross_talk_of_torque_sensors_is_a_smooth_function_of_the_other_joints_load():
-    arm = arm_with().with_effects(plant.ForeignTorque(1, lambda s: 0.1 * s.load[..., 0]))
+@pytest.mark.parametrize(("joint", "other", "gain"), [(1, 0, 0.1), (0, 1, 0.3)])
+def test_cross_talk_of_torque_sensors_is_a_smooth_function_of_the_other_joints_load(
+    joint, other, gain
+):
+    """The columns of joint 1 alone contain much of joint 2's load: links act on both."""
+    cross_talk = plant.ForeignTorque(joint, lambda s: gain * s.load[..., other])
+    arm = arm_with().with_effects(cross_talk)
     (step,) = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2)).steps
-    assert step.label == "smooth/load1:2"
-    before = lieid.compare(lieid.identify(MODEL, run(arm, 1)), run(arm, 2)).rms[1]
-    assert step.errors["rms_test"][1] < 0.5 * before
+    assert step.label == f"smooth/load{other + 1}:{joint + 1}"
+    before = lieid.compare(lieid.identify(MODEL, run(arm, 1)), run(arm, 2)).rms[joint]
+    assert step.errors["rms_test"][joint] < 0.5 * before
+
+
+@pytest.mark.parametrize("joints", [2, 3])
+def test_a_function_pays_for_how_many_functions_are_tried(joints):
+    """Chen and Chen 2008: log of the number of alternatives, twice, beside those of parameters."""
+    robot = random_arm(np.random.default_rng(1), joints, mixed=False)
+    arm = plant.Arm(robot, robot.link_parameters, plant.JointFriction(*np.full((3, joints), 0.5)))
+    fit = lieid.identify(lieid.Model(robot, "coulomb,viscous"), recorded(arm, 1, seconds=8.0))
+    segments = process([recorded(arm, 1, seconds=8.0)], fit.processing)
+    rows = Rows.of(fit, segments, with_candidates=False)
+    own, others = ["q", "dq", "ddq", "load"], [f"{x}{joints}" for x in ("q", "dq", "load")]
+    others += [f"{x}2" for x in ("q", "dq", "load")] if joints == 3 else []
+    pairs = list(combinations(own + others, 2))
+    owners = [
+        Candidate(Placement(make("armature"), 0), np.zeros((1, 0))),
+        Candidate(Placement(make("transmission_coupling"), 0, source=1), np.zeros((1, 0))),
+        *(
+            smooth_functions._candidate(rows, signals, 0)
+            for signals in (("q",), (f"q{joints}",), ("q", "dq"), ("q", f"load{joints}"))
+        ),
+    ]
+    of_joint = sum(set(pair) <= set(own) for pair in pairs)
+    alike = [1, joints - 1, len(own), len(others), of_joint, len(pairs) - of_joint]
+    rows = rows.with_candidates(owners)
+    penalty = search._rules(rows.columns, rows, DiagnosisOptions()).penalty
+    cost = rows.columns.parameters * np.log(rows.runs[0].count)
+    np.testing.assert_allclose(penalty, cost + 2.0 * np.log(alike))
 
 
 def test_a_delay_that_resembles_late_friction_is_added_without_a_certain_name():

@@ -11,6 +11,7 @@ from lieid_casadi.diagnosis.columns import assemble
 from lieid_casadi.diagnosis.evidence import HeldOut, judge
 from lieid_casadi.diagnosis.folds import Folds
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
+from lieid_casadi.diagnosis.search import LEAST_SUPPORT
 from lieid_casadi.effects import Placement, make
 
 ROWS, MODEL, GROUPS = 400, 5, 12
@@ -47,6 +48,27 @@ def rules(columns, penalty=20.0):
     return Rules(
         np.full(count, penalty), np.ones(count, bool), np.zeros(count, bool), lambda g, v: True, 8
     )
+
+
+def test_the_support_of_a_function_is_that_of_its_torque():
+    """A knot of a spline that few rows reach does not disqualify the others."""
+    _, _, columns = problem(1)
+    single = next(g for g in range(GROUPS) if columns.size[g] == 1)
+    column = columns.stacked(single)[:, 0]
+    assert columns.support[single] == pytest.approx(
+        np.sum(column**2) ** 2 / np.sum(column**4), rel=1e-9
+    )
+    knots = np.zeros((2 * ROWS, 20))
+    knots[np.arange(ROWS), np.arange(ROWS) % 20] = 1.0
+    knots[:, 0] = 0.0
+    knots[3, 0] = 1.0  # one row alone
+    effect = Candidate(Placement(make("smooth/q"), 0), np.zeros((1, 0)))
+    spline, spike = (
+        assemble([effect], [0], [0], [size], [[(0, values[:ROWS])], []], [ROWS, ROWS])
+        for size, values in ((20, knots), (1, knots[:, :1]))
+    )
+    assert spline.support > LEAST_SUPPORT
+    assert spike.support == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("part", [-1, 0, 3])
