@@ -337,8 +337,11 @@ def read_content(path: Path) -> Content:
     except RecursionError:
         raise FitFileError(f"{path}: not a fit: nested too deeply") from None
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        # within a number, the parser finds the number wrong
+        cut = data.startswith(b"{") and not data.rstrip().endswith(b"}")
+        reason = "the file is truncated" if cut else reason_of(error)
         raise FitFileError(
-            f"{path}: not JSON; expected a fit, the output of lieid identify -o: {reason_of(error)}"
+            f"{path}: not JSON; expected a fit, the output of lieid identify -o: {reason}"
         ) from None
     if not isinstance(raw, dict) or raw.get("kind") != KIND:
         raise FitFileError(f"{path}: not a fit file; expected the output of lieid identify -o")

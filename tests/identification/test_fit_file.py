@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from plant.recordings import recorded
 from robot.random_arms import random_arm
 
@@ -163,6 +165,12 @@ def test_a_file_whose_names_lack_the_acting_joint_is_read(coupled, tmp_path):
 )
 def test_bytes_that_are_no_fit(content, words, tmp_path):
     assert words in refusal(content, tmp_path)
+
+
+@given(data=st.data())
+def test_a_file_that_ends_anywhere_is_truncated(data, text, tmp_path_factory):
+    end = data.draw(st.integers(1, len(text) - 2))
+    assert "truncated" in refusal(text[:end], tmp_path_factory.mktemp("cut"))
 
 
 @pytest.mark.parametrize(
