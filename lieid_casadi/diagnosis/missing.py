@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ndtri
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison, compare
@@ -91,11 +92,13 @@ class MissingEffects:
         self.unseen: UnseenMotion | None = None
         self.gains: dict[str, MotionGain] = {}  # of the final fit's effects
         self.fits: dict[frozenset[str], Estimated] = {}  # by the effects that are added
+        self.candidates = 1  # of the library, on joints
 
     def diagnosis(self, seed: int) -> Diagnosis:
         """Return the diagnosis."""
         options, first = self.options, self.first
         rows = Rows.of(first, self.segments, known=self.known)
+        self.candidates = max(len(rows.candidates), 1)
         fit, accepted, last = self._searched(rows)
         self.report("measure the effects", 0.9)
         tests = compared_segments(fit, self.tests) if self.tests else None
@@ -335,12 +338,15 @@ class MissingEffects:
     ) -> tuple[str, float] | None:
         """Return why noise may be all of an effect beside all others, and its deviations; or None.
 
-        Those are the fewer of its gain's and its coefficients'.
+        Those are the fewer of its gain's and its coefficients'. The larger ones exceed what noise
+        exceeds in as many of the library's candidates as the effects may have false ones among
+        them (Benjamini and Hochberg, Journal of the Royal Statistical Society B 1995).
         """
         elsewhere = _elsewhere(found.candidate, [a.candidate for a in accepted])
+        false = self.options.false_effects * len(accepted) / self.candidates
         least, certain = (
             evidence_needed(limit, elsewhere)
-            for limit in (self.options.gain_deviations, self.options.name_deviations)
+            for limit in (self.options.gain_deviations, float(-ndtri(0.5 * false)))
         )
         gain, coefficients = found.evidence.gain_certainty, found.coefficient_deviations(fit)
         text = f"its coefficients are {coefficients:.1f} standard deviations from zero"
@@ -348,7 +354,7 @@ class MissingEffects:
             return f"{text} (limit {least:g})", min(gain, coefficients)
         if max(coefficients, gain) < certain:  # either may be known roughly only
             both = f"its gain is certain to {gain:.1f} standard errors and {text}"
-            return f"{both} (one: {certain:g})", min(gain, coefficients)
+            return f"{both} (one: {certain:.2g})", min(gain, coefficients)
         return None
 
     def _moving(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:

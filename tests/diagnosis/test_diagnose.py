@@ -4,13 +4,17 @@ import json
 from dataclasses import replace
 from functools import cache
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from experiments.arms import arm as stribeck_arm
 from experiments.arms import sines
+from hypothesis import given
+from hypothesis import strategies as st
 from plant.recordings import recorded
 from robot.random_arms import random_arm
+from scipy.stats import false_discovery_control, norm
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -19,6 +23,7 @@ from lieid_casadi.diagnosis import DiagnosisOptions, search, smooth_functions
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.findings import finding
 from lieid_casadi.diagnosis.folds import folds_of
+from lieid_casadi.diagnosis.missing import MissingEffects
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
@@ -182,6 +187,28 @@ def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
     np.testing.assert_array_equal(again.values, diagnosis.fit.values)
 
 
+@given(strong=st.lists(st.floats(2.0, 6.0), max_size=8), candidates=st.integers(10, 300))
+def test_effects_that_remain_have_the_stated_part_of_false_ones(strong, candidates):
+    """The larger of gain and coefficients counts, as in SciPy's procedure of Benjamini-Hochberg."""
+    placements = [Placement(make("stribeck"), k % 2) for k in range(len(strong))]
+    left = [
+        SimpleNamespace(
+            candidate=Candidate(placement, np.zeros((1, 0))),
+            evidence=SimpleNamespace(gain_certainty=2.0 if k % 2 else value),
+            coefficient_deviations=lambda fit, value=value, k=k: value if k % 2 else 2.0,
+            value=value,
+        )
+        for k, (placement, value) in enumerate(zip(placements, strong, strict=True))
+    ]
+    search = SimpleNamespace(options=DiagnosisOptions(), candidates=candidates)
+    while out := [a for a in left if MissingEffects._undetermined(search, a, left, None)]:
+        left.remove(out[-1])
+    others = [1.0] * (candidates - len(strong))
+    rates = false_discovery_control([*(2.0 * norm.sf(x) for x in strong), *others])
+    expected = [x for x, rate in zip(strong, rates, strict=False) if rate <= 0.1]
+    assert [a.value for a in left] == expected
+
+
 def test_an_effect_needs_one_certain_evidence_and_its_name_both(monkeypatch):
     train = two_runs(("stribeck", 0, 1.0))[0]
     (step,) = lieid.diagnose(MODEL, train).steps
@@ -200,8 +227,8 @@ def test_an_effect_needs_one_certain_evidence_and_its_name_both(monkeypatch):
             "its coefficients are 2.8 standard deviations from zero (limit 2.9)",
         ),
         (
-            {"name_deviations": 100.0},
-            "its coefficients are 2.8 standard deviations from zero (one: 100)",
+            {"false_effects": 0.0},
+            "its coefficients are 2.8 standard deviations from zero (one: inf)",
         ),
     ):
         without = lieid.diagnose(MODEL, train, options=DiagnosisOptions(**limits))
