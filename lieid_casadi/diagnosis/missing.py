@@ -53,6 +53,9 @@ Report = Callable[[str, float], None]
 #: Torque of an effect in that of its joint: a spring may carry several times what the drive does;
 #: more cancels that of other effects, and does so only at the speeds of the training data.
 LARGEST_TORQUE = 10.0
+#: Expected part of false effects among all that are added, to which either gain or coefficients
+#: are certain. Statistics: Benjamini and Hochberg, J. Royal Statistical Society B 1995.
+FALSE_EFFECTS = 0.1
 ROUNDS = 2  # of search and fit; the second one adds what the first fit hid
 
 
@@ -340,10 +343,10 @@ class MissingEffects:
 
         Those are the fewer of its gain's and its coefficients'. The larger ones exceed what noise
         exceeds in as many of the library's candidates as the effects may have false ones among
-        them (Benjamini and Hochberg, Journal of the Royal Statistical Society B 1995).
+        them (Benjamini and Hochberg).
         """
         elsewhere = _elsewhere(found.candidate, [a.candidate for a in accepted])
-        false = self.options.false_effects * len(accepted) / self.candidates
+        false = FALSE_EFFECTS * len(accepted) / self.candidates
         least, certain = (
             evidence_needed(limit, elsewhere)
             for limit in (self.options.gain_deviations, float(-ndtri(0.5 * false)))

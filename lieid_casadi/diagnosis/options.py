@@ -24,9 +24,6 @@ class DiagnosisOptions:
     #: Standard errors by which the mean gain on held-out parts, and the coefficients, must exceed
     #: zero. Statistics: about 95 %.
     gain_deviations: float = 2.0
-    #: Expected part of false effects among all that are added, by which one of the two must exceed
-    #: zero. Statistics: Benjamini and Hochberg, J. Royal Statistical Society B 1995.
-    false_effects: float = 0.1
     #: Standard errors by which both must exceed zero for the effect to be named. Statistics: 99 %
     #: of Student's t of ten parts; hundreds of candidates are compared.
     name_deviations: float = 3.0

@@ -19,7 +19,7 @@ from scipy.stats import false_discovery_control, norm
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import DiagnosisOptions, search, smooth_functions
+from lieid_casadi.diagnosis import DiagnosisOptions, missing, search, smooth_functions
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.findings import finding
 from lieid_casadi.diagnosis.folds import folds_of
@@ -221,18 +221,12 @@ def test_an_effect_needs_one_certain_evidence_and_its_name_both(monkeypatch):
     assert [(s.label, s.status, s.rivals) for s in doubtful.steps] == [(step.label, "one_of", ())]
     assert "it is only 2.8 standard deviations from zero" in doubtful.sentences[0]
     assert doubtful.to_dict()["steps"][0]["evidence"]["coefficient_deviations"] == 2.75
-    for limits, reason in (
-        (
-            {"gain_deviations": 2.9},
-            "its coefficients are 2.8 standard deviations from zero (limit 2.9)",
-        ),
-        (
-            {"false_effects": 0.0},
-            "its coefficients are 2.8 standard deviations from zero (one: inf)",
-        ),
-    ):
-        without = lieid.diagnose(MODEL, train, options=DiagnosisOptions(**limits))
+    for limit, false_effects in (("limit 2.9", 0.1), ("one: inf", 0.0)):
+        monkeypatch.setattr(missing, "FALSE_EFFECTS", false_effects)
+        options = DiagnosisOptions(gain_deviations=2.9 if false_effects else 2.0)
+        without = lieid.diagnose(MODEL, train, options=options)
         assert without.steps == ()
+        reason = f"its coefficients are 2.8 standard deviations from zero ({limit})"
         assert dict(without.rejected)[step.label].endswith(reason)
         assert dict(without.undecided)[step.label] == 2.75  # more data would decide
 
