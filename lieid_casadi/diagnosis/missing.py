@@ -341,9 +341,9 @@ class MissingEffects:
     ) -> tuple[str, float] | None:
         """Return why noise may be all of an effect beside all others, and its deviations; or None.
 
-        Those are the fewer of its gain's and its coefficients'. The larger ones exceed what noise
-        exceeds in as many of the library's candidates as the effects may have false ones among
-        them (Benjamini and Hochberg).
+        Those are the fewer of its gain's and its coefficients', and less than a name needs. The
+        larger ones exceed what noise exceeds in as many of the library's candidates as the effects
+        may have false ones among them (Benjamini and Hochberg).
         """
         elsewhere = _elsewhere(found.candidate, [a.candidate for a in accepted])
         false = FALSE_EFFECTS * len(accepted) / self.candidates
@@ -355,9 +355,11 @@ class MissingEffects:
         text = f"its coefficients are {coefficients:.1f} standard deviations from zero"
         if coefficients < least:
             return f"{text} (limit {least:g})", min(gain, coefficients)
-        if max(coefficients, gain) < certain:  # either may be known roughly only
+        most = max(coefficients, gain)
+        if most < certain:  # either may be known roughly only
             both = f"its gain is certain to {gain:.1f} standard errors and {text}"
-            return f"{both} (one: {certain:.2g})", min(gain, coefficients)
+            missing = self.options.name_deviations * most / certain
+            return f"{both} (one: {certain:.2g})", min(gain, coefficients, missing)
         return None
 
     def _moving(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:

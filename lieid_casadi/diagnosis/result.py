@@ -58,7 +58,7 @@ class Diagnosis:
         Candidates that were selected and not added, and why.
     undecided : tuple of (str, float)
         Of these, candidates that would lower the held-out error by enough, and the standard errors
-        of their mean gain or of their coefficients, which are too few: more data would decide.
+        of their mean gain or coefficients, fewer than a name needs: more data would decide.
     noise_floor : (n,)
         N·m, of the test, or of the training recordings without one.
     noise_source : str
