@@ -238,7 +238,7 @@ def _torques(found: Round, changes: Sequence[_Change]) -> list[Array]:
 
 
 def _misfit(rows: Rows, expected: Array, torques: Sequence[Array]) -> Array:
-    """Return each joint's error with some torques, relative to that expected (n,)."""
+    """Return each joint's error with some torques over that expected (n,); NaN without rows."""
     weights = rows.weights(expected)
     residual = np.concatenate([r * w for r, w in zip(rows.residual, weights, strict=True)])
     ends = np.cumsum([run.count for run in rows.runs])[:-1]
