@@ -359,7 +359,7 @@ class MissingEffects:
         if most < certain:  # either may be known roughly only
             both = f"its gain is certain to {gain:.1f} standard errors and {text}"
             missing = self.options.name_deviations * most / certain
-            return f"{both} (one: {certain:.2g})", min(gain, coefficients, missing)
+            return f"{both} (one of them needs {certain:.1f})", min(gain, coefficients, missing)
         return None
 
     def _moving(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:

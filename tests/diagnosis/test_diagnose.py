@@ -223,7 +223,10 @@ def test_an_effect_needs_one_certain_evidence_and_its_name_both(monkeypatch):
     assert [(s.label, s.status, s.rivals) for s in doubtful.steps] == [(step.label, "one_of", ())]
     assert "it is only 2.8 standard deviations from zero" in doubtful.sentences[0]
     assert doubtful.to_dict()["steps"][0]["evidence"]["coefficient_deviations"] == 2.75
-    for limit, false_effects, known in (("limit 2.9", 0.1, 2.75), ("one: inf", 0.0, 0.0)):
+    for limit, false_effects, known in (
+        ("limit 2.9", 0.1, 2.75),
+        ("one of them needs inf", 0.0, 0.0),
+    ):
         monkeypatch.setattr(missing, "FALSE_EFFECTS", false_effects)
         options = DiagnosisOptions(gain_deviations=2.9 if false_effects else 2.0)
         without = lieid.diagnose(MODEL, train, options=options)
