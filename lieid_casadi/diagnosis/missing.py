@@ -341,9 +341,10 @@ class MissingEffects:
     ) -> tuple[str, float] | None:
         """Return why noise may be all of an effect beside all others, and its deviations; or None.
 
-        Those are the fewer of its gain's and its coefficients', and less than a name needs. The
-        larger ones exceed what noise exceeds in as many of the library's candidates as the effects
-        may have false ones among them (Benjamini and Hochberg).
+        Those are the fewer of its gain's and its coefficients', or what the larger ones are of
+        those needed, in units of a name's. The larger ones exceed what noise exceeds in as many of
+        the library's candidates as the effects may have false ones among them (Benjamini and
+        Hochberg).
         """
         elsewhere = _elsewhere(found.candidate, [a.candidate for a in accepted])
         false = FALSE_EFFECTS * len(accepted) / self.candidates

@@ -57,8 +57,8 @@ class Diagnosis:
     rejected : tuple of (str, str)
         Candidates that were selected and not added, and why.
     undecided : tuple of (str, float)
-        Of these, candidates that would lower the held-out error by enough, and the standard errors
-        of their mean gain or coefficients, fewer than a name needs: more data would decide.
+        Of these, candidates that would lower the held-out error by enough, and what they have of
+        the standard errors that would suffice (`name_deviations`): more data would decide.
     noise_floor : (n,)
         N·m, of the test, or of the training recordings without one.
     noise_source : str

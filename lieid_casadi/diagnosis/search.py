@@ -20,7 +20,7 @@ from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows
-from lieid_casadi.diagnosis.smooth_functions import alternatives, smooth_candidates
+from lieid_casadi.diagnosis.smooth_functions import functions_alike, smooth_candidates
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.smooth import Smooth
 from lieid_casadi.identification.uncertainty.noise_model import Noise, noise_of
@@ -264,7 +264,7 @@ def _rules(
     forms = np.array([is_form(c.effect) for c in columns.owners], dtype=bool)
     more = np.ones(len(columns.size)) if dependence is None else dependence
     independent = np.maximum(count[columns.owner] / more, 2.0)
-    alike = np.array([alternatives(rows, c) for c in columns.owners], dtype=float)[columns.owner]
+    alike = np.array([_alternatives(rows, c) for c in columns.owners], dtype=float)[columns.owner]
     cost = columns.parameters * np.log(independent) + 2.0 * np.log(alike)
     return Rules(
         options.penalty * more * cost,
@@ -273,6 +273,13 @@ def _rules(
         allowed,
         options.most_steps,
     )
+
+
+def _alternatives(rows: Rows, candidate: Candidate) -> int:
+    """Return how many candidates of its kind are on its joint: of other signals or joints."""
+    if candidate.name == SMOOTH:
+        return functions_alike(rows, candidate)
+    return len(rows.runs) - 1 if candidate.effect.couples else 1
 
 
 def residual_beside(paths: Paths, groups: Sequence[int]) -> Array:

@@ -23,7 +23,6 @@ from lieid_casadi.diagnosis.path import Span
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.registry import make
-from lieid_casadi.effects.smooth import Smooth
 from lieid_casadi.identification.regression.variable_projection import shapes_of_data
 from lieid_casadi.model import Model
 
@@ -74,14 +73,15 @@ def smooth_candidates(
     return list(found.values())
 
 
-def alternatives(rows: Rows, candidate: Candidate) -> int:
-    """Return how many candidates of its kind are on its joint: of other signals or joints."""
-    if candidate.name != Smooth.name:
-        return len(rows.runs) - 1 if candidate.effect.couples else 1
+def functions_alike(rows: Rows, candidate: Candidate) -> int:
+    """Return of how many functions of one or two signals a candidate is one.
+
+    Functions of the joint's own signals are counted apart from those of other joints' signals.
+    """
     names, joint = candidate.effect.option.split("."), candidate.joint
     every = _signals(rows, joint)
-    alone, whole = (comb(n, len(names)) for n in (sum(j == joint for _, j in every), len(every)))
-    return whole - alone if any(map(_of_other, names)) else alone
+    own, whole = (comb(n, len(names)) for n in (sum(j == joint for _, j in every), len(every)))
+    return whole - own if any(map(_of_other, names)) else own
 
 
 def followed_signals(rows: Rows, span: Span, joint: int, spread: Array) -> tuple[str, ...]:
