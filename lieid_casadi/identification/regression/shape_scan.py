@@ -245,11 +245,14 @@ class WeightedProjection:
                 [[a.square[0] if a is b else self.cross(a, b)[0] for b in others] for a in others]
             )
             aim = np.concatenate([other.target[0] for other in others])
+            # a column of denormal numbers has no inverse: nothing of it is used
             scale = np.sqrt(np.maximum(np.diag(between), 1e-300))
-            scale = np.outer(scale, scale)
-            inverse = np.linalg.pinv(between / scale, rcond=VANISHING, hermitian=True) / scale
-            square = square - crossed @ inverse @ crossed.swapaxes(1, 2)
-            target = target - crossed @ (inverse @ aim)
+            sizes, directions = np.linalg.eigh(between / np.outer(scale, scale))
+            used = sizes > VANISHING
+            axes = directions[:, used] / np.sqrt(sizes[used]) / scale[:, None]
+            inside = crossed @ axes
+            square = square - inside @ inside.swapaxes(1, 2)
+            target = target - inside @ (axes.T @ aim)
         norms = np.einsum("gcc->gc", trial.square) + np.sum(trial.along**2, axis=2)
         scale = np.sqrt(np.maximum(norms, 1e-300))
         sizes, directions = np.linalg.eigh(square / (scale[:, :, None] * scale[:, None, :]))
