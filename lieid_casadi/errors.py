@@ -102,6 +102,10 @@ class BoundWarning(LieidWarning):
     """A coefficient or shape parameter at its bound."""
 
 
+class RoughFitWarning(LieidWarning):
+    """Held-out data are predicted much worse than the data of the fit: these are too few."""
+
+
 class FrictionAtRestWarning(LieidWarning):
     """Friction is undetermined at rest: samples were excluded, or increase a test's error."""
 

@@ -17,6 +17,7 @@ from lieid_casadi.errors import (
     LieidWarning,
     NotDissipativeWarning,
     RelativeTorqueWarning,
+    RoughFitWarning,
     StatedMassWarning,
     UnidentifiableWarning,
 )
@@ -42,6 +43,7 @@ OF_NUMBERS = (
     DriveLimitWarning,
     FrictionAtRestWarning,
     NotDissipativeWarning,
+    RoughFitWarning,
     StatedMassWarning,
     UnidentifiableWarning,
 )
@@ -49,6 +51,10 @@ WEAK = 0.05  # of a column's norm that the other columns do not span: below it, 
 SHARE_AT_REST = 0.01  # of the samples, above which rest is reported
 LIMITED = np.arange(0.5, 1.0, 0.05)  # quantiles of position errors, from which a limit may act
 OF_LIMIT = 0.5  # of a joint's error, below which a limit of its drive must lower it to be stated
+#: Error of held-out data relative to that of the fit, above which the fit is rough: so it is with
+#: one parameter to four independent samples.
+ROUGH = 1.3
+EXACT = 1e-4  # error relative to the torque, below which a fit needs no warning
 ROWS_FOR_LIMIT = 5  # for each column of a joint
 
 
@@ -156,6 +162,23 @@ def at_rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
         FrictionAtRestWarning(
             "friction is undetermined at rest; samples at rest were excluded from the fit: "
             + joints
+        )
+    ]
+
+
+def rough(method: str, rms_train: Array, rms_cv: Array, rows: Rows) -> list[LieidWarning]:
+    """Return a warning where held-out data are predicted much worse than those of the fit."""
+    sizes = [np.linalg.norm(own.torque) / np.sqrt(max(len(own.torque), 1)) for own in rows.joints]
+    inexact = (rms_train > EXACT * np.array(sizes)) & (rms_cv > 0.0)
+    ratios = rms_cv[inexact] / rms_train[inexact]
+    ratio = float(np.exp(np.mean(np.log(ratios)))) if len(ratios) else 1.0
+    if ratio < ROUGH:
+        return []
+    near = "" if method == "feasible" else ", or --method feasible, which keeps links plausible"
+    return [
+        RoughFitWarning(
+            f"the error of held-out data is {ratio:.1f} times that of the fit: the recordings "
+            f"determine its parameters roughly; record longer or more motion (lieid excite){near}"
         )
     ]
 

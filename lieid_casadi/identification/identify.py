@@ -232,6 +232,7 @@ def _with_uncertainty(
         certificate = certify(design, consistent, rms, errors(least)[0])
     covariance = fit_covariance(design, state)
     found = [*fit.warnings, *fit_warnings.limits_of_drives(design, least.rows)]
+    found += fit_warnings.rough(fit.method, rms, fit.rms_cv, state.rows)
     if least.scan is not None:
         intervals = shape_intervals(design, least, covariance)
         found += open_intervals(design, least, intervals)

@@ -74,3 +74,15 @@ def test_friction_that_would_drive_a_joint_is_reported():
     assert all("it is constrained to dissipate" in text for text in messages)
     fast = dict(zip([c.label for c in model.columns], fit.effect_coefficients, strict=True))
     assert fast["coulomb.f_c:4"] + 2.175 * fast["viscous.f_v:4"] >= 0.0
+
+
+@needs(PANDA / "panda.urdf")
+def test_a_solution_to_rounding_is_accepted():
+    """With these effects the solver stops at a relative gap of 1e-7, as rounding permits."""
+    robot, *_ = panda()
+    train = lieid.Recording.load(f"{PANDA / 'excitation.csv.gz'}@0:15.6")
+    effects = "coulomb,viscous,offset,torque_lowpass/second_order:7,presliding:5"
+    processing = Processing(cutoff=3.0, trim=0.5)
+    model = lieid.Model(robot, effects)
+    fit = lieid.identify(model, train, method="feasible", processing=processing)
+    assert fit.certificate.holds

@@ -19,6 +19,7 @@ from lieid_casadi.errors import (
     FrictionAtRestWarning,
     IdentificationError,
     ModelError,
+    RoughFitWarning,
     UnidentifiableWarning,
 )
 from lieid_casadi.recording import Processing
@@ -122,6 +123,36 @@ def test_directions_that_are_not_excited_are_reported():
     names = " ".join(str(w) for w in fit.warnings if isinstance(w, UnidentifiableWarning))
     assert "viscous.f_v:2" in names
     assert np.isfinite(fit.values).all()
+
+
+@pytest.mark.parametrize(
+    ("duration", "method", "remedies"),
+    [(4.0, "wls", ["lieid excite", "--method feasible"]), (6.0, "feasible", ["lieid excite"]),
+     (20.0, "wls", [])],
+)  # fmt: skip
+def test_recordings_that_determine_the_parameters_roughly_are_reported(duration, method, remedies):
+    _, recording = measured(torque_noise=0.5, duration=duration)
+    effects = "coulomb,viscous,offset,load_friction,torque_ripple,viscous_polynomial"
+    fit = lieid.identify(
+        lieid.Model(ROBOT, effects), recording, method=method, processing=Processing(cutoff=3.0)
+    )
+    found = [str(w) for w in fit.warnings if isinstance(w, RoughFitWarning)]
+    assert [r for r in ("lieid excite", "--method feasible") for text in found if r in text] == (
+        remedies
+    )
+
+
+def test_without_noise_no_fit_is_rough():
+    fit = lieid.identify(lieid.Model(ROBOT, "coulomb"), measured(duration=4.0)[1])
+    assert not [w for w in fit.warnings if isinstance(w, RoughFitWarning)]
+
+
+def test_short_recordings_have_a_held_out_error():
+    """Three seconds are less than one block of a low-pass of 3 Hz."""
+    _, recording = measured(torque_noise=0.5, duration=3.0)
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    fit = lieid.identify(model, recording, processing=Processing(cutoff=3.0))
+    assert np.all(fit.rms_cv > 1.05 * fit.rms_train)
 
 
 def test_a_recording_at_rest_identifies_nothing():

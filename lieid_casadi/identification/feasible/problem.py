@@ -209,6 +209,9 @@ class FeasibleProblem:
 
 log = logging.getLogger("lieid_casadi")
 TOLERANCE = 1e-8
+#: Relative gap to the least cost that is accepted where rounding stops the solver earlier; the
+#: constraints are met to `TOLERANCE` in any case.
+LARGEST_GAP = 1e-6
 MAX_ITERATIONS = 200
 MARGIN = 1e-3  # of its reference body, by which each pseudo-inertia is positive definite at least
 FRICTION_MARGIN = 1e-6  # of the joint's noise: keeps friction dissipative within the tolerance
@@ -222,9 +225,8 @@ STATUS = {
     "infeasible_inaccurate": f"probably no parameters satisfy all constraints; {RELAX}",
     "unbounded": f"the cost has no minimum; {RELAX}",
     "unbounded_inaccurate": f"the cost has probably no minimum; {RELAX}",
-    "optimal_inaccurate": f"the solver did not reach its accuracy; {RELAX}",
     "user_limit": f"the solver reached its limit of {MAX_ITERATIONS} iterations; {RELAX}",
-    "solver_error": f"the solver failed numerically; {RELAX}",
+    "solver_error": f"the solver did not reach its accuracy; {RELAX}",
 }
 
 
@@ -267,7 +269,7 @@ class ConvexSolver:
         self._weight.value = weight
         began = time.perf_counter()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an inaccurate solution is refused below
+            warnings.simplefilter("ignore")  # of the accuracy, which is `LARGEST_GAP` at least
             try:
                 self._program.solve(
                     solver=cp.CLARABEL,
@@ -275,12 +277,15 @@ class ConvexSolver:
                     tol_gap_abs=TOLERANCE,
                     tol_gap_rel=TOLERANCE,
                     tol_feas=TOLERANCE,
+                    reduced_tol_gap_abs=LARGEST_GAP,
+                    reduced_tol_gap_rel=LARGEST_GAP,
+                    reduced_tol_feas=TOLERANCE,
                 )
                 status = str(self._program.status)
             except cp.SolverError:
                 status = "solver_error"
         log.debug("feasible: λ %.3g, %s in %.3f s", weight, status, time.perf_counter() - began)
-        if status != cp.OPTIMAL or self._unknowns.value is None:
+        if status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or self._unknowns.value is None:
             reason = STATUS.get(status, f"the solver stopped with status {status}; {RELAX}")
             raise NoSolution(f"physically consistent parameters: {reason}")
         return self.problem.within_bounds(self.problem.scaling @ self._unknowns.value)

@@ -46,7 +46,8 @@ def fold_factors(design: Design, rows: Rows, noise: Array, values: Array) -> tup
     first = design.segments[0]
     time = first.filtered_time
     step = float(time[1] - time[0]) if len(time) > 1 else 1.0
-    block = max(int(BLOCK_OVER_CUTOFF / first.cutoff / step), 1)
+    block = int(BLOCK_OVER_CUTOFF / first.cutoff / step)
+    block = max(min(block, int(rows.segments[-1]) // FOLDS), 1)  # every fold has one
     fold = rows.blocks(block) % FOLDS
     parts = [rows.factors_at(fold == held) for held in range(FOLDS)]
     folds = []
