@@ -7,8 +7,10 @@ the motion explains: the model's own columns and common effects (`motion_columns
 couplings of the joints (`coupling_columns`), by ridge regression whose penalty is chosen on
 held-out blocks of time. Functions of the motion explain a part of slow noise by chance: an error
 counts as noise unless they explain more of it than of the same error at every other time of the
-motion (shifted surrogates; Theiler et al., Physica D 1992). On recordings that the fit did not use
-the floor contains the error of its uncertain parameters. It never exceeds the error itself.
+motion (shifted surrogates; Theiler et al., Physica D 1992). Nor is an error noise that follows
+slow functions of time far more than noise with the spectrum of the rest would. On recordings that
+the fit did not use the floor contains the error of its uncertain parameters. It never exceeds the
+error itself.
 """
 
 from __future__ import annotations
@@ -22,9 +24,13 @@ from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.least_squares import Rows
+from lieid_casadi.identification.regression.least_squares import JointRows, Rows
 from lieid_casadi.identification.regression.variable_projection import shape_columns
-from lieid_casadi.identification.uncertainty.noise_model import common_effect_columns
+from lieid_casadi.identification.uncertainty.noise_model import (
+    common_effect_columns,
+    noise_of,
+    runs_of,
+)
 from lieid_casadi.recording import Recording, period_noise
 from lieid_casadi.recording.processed import Processed
 
@@ -38,10 +44,15 @@ DEPENDENCE = 1e-5  # of a largest singular value
 LEAST_LEFT = 0.1  # of a band of frequencies: with less its noise is not known
 BAND = 9  # frequencies
 SHIFTS = 15  # of the error against the motion
+WAVES, FASTEST = 5, 0.2  # half periods of slow functions of time in a segment; Hz
+#: Square of an error in slow functions of time, relative to the variance along one of them of noise
+#: with the spectrum of the rest, from which it is not noise. It is large because 15 s show badly
+#: the spectrum of noise that is correlated over 1 s: 2 of 200 joints exceed it (500: 16).
+NOT_NOISE = 1000.0
 
 SOURCES = {
     "period_to_period": "differences between periods of the motion",
-    "motion": "part of the error that no function of the motion explains",
+    "motion": "part of the error that no function of the motion, nor a slow one of time, explains",
     "none": "not available",
 }
 
@@ -56,6 +67,8 @@ def noise_floor(
     """
     cutoff, design = segments[0].cutoff, Design(fit.compiled, segments)
     rows = design.rows(fit.shapes, fit.parameters)
+    trained = {each.sha256 for each in fit.provenance.recordings}
+    unseen = [s.recording.source_hash not in trained for s in segments]
     repeated = [(period_noise(r, cutoff=cutoff), r.duration) for r in recordings]
     squares = [noise**2 for noise, _ in repeated if noise is not None]
     if squares:
@@ -63,11 +76,10 @@ def noise_floor(
         floor = np.asarray(np.sqrt(np.average(squares, axis=0, weights=durations)))
         source = "period_to_period"
     else:
-        floor, source = _independent_of_motion(fit, segments, rows), "motion"
-    trained = {each.sha256 for each in fit.provenance.recordings}
-    lengths = [len(s.filtered_time) for s in segments]
-    unseen = [s.recording.source_hash not in trained for s in segments]
+        floor, source = _independent_of_motion(fit, segments, rows, unseen=all(unseen)), "motion"
+    floor = np.minimum(floor, _without_slow(fit, segments, rows))
     if any(unseen):
+        lengths = [len(s.filtered_time) for s in segments]
         # the covariance is that of the fit's residual, which contains a missing effect as well
         size = np.minimum(floor / np.maximum(fit.noise, 1e-300), 1.0)
         part = np.average(unseen, weights=lengths)
@@ -76,8 +88,14 @@ def noise_floor(
     return floor, source if np.isfinite(floor).any() else "none"
 
 
-def _independent_of_motion(fit: Fit, segments: Sequence[Processed], rows: Rows) -> Array:
-    """Return the RMS of what columns of the motion do not explain (n,), N·m."""
+def _independent_of_motion(
+    fit: Fit, segments: Sequence[Processed], rows: Rows, *, unseen: bool
+) -> Array:
+    """Return the RMS of what columns of the motion do not explain (n,), N·m.
+
+    On recordings that are ``unseen`` the error of the fit's parameters depends on the motion: what
+    else does is examined beside it.
+    """
     residuals = rows.residuals(fit.values)
     columns = np.concatenate([motion_columns(fit, segment) for segment in segments])
     couplings = np.concatenate([coupling_columns(segment) for segment in segments])
@@ -87,20 +105,98 @@ def _independent_of_motion(fit: Fit, segments: Sequence[Processed], rows: Rows) 
     floors = []
     for j, (joint, residual) in enumerate(zip(rows.joints, residuals, strict=True)):
         own = np.column_stack([joint.matrix, columns[joint.instant, j]])
-        coupled = np.column_stack([own, couplings[joint.instant]])
+        both = own, np.column_stack([own, couplings[joint.instant]])
         fold = joint.instant // block % FOLDS
-        enough = len(np.unique(fold)) == FOLDS and len(residual) > LEAST_ROWS
-        shifts = [round(k * len(residual) / (SHIFTS + 1)) for k in range(SHIFTS + 1)]
-        errors = np.column_stack([np.roll(residual, shift) for shift in shifts])
-        # Both are upper bounds: short recordings do not determine the coefficients of all columns.
-        found = [_unexplained(each, errors, fold) for each in (own, coupled) if enough]
-        if not found:
+        if len(np.unique(fold)) < FOLDS or len(residual) <= LEAST_ROWS:
             floors.append(np.nan)
             continue
-        square, *by_chance = np.minimum.reduce(found)
-        noise = square if square < min(by_chance) else 1.0
-        floors.append(np.sqrt(np.mean(residual**2) * noise))
+        square = _noise_square(both, residual, fold)
+        if unseen and square < np.mean(residual**2):
+            square = max(square, _noise_square(both, _refitted(joint.matrix, residual), fold))
+        floors.append(np.sqrt(square))
     return np.array(floors)
+
+
+def _noise_square(columns: Sequence[Array], residual: Array, fold: Indices) -> float:
+    """Return the mean square of a residual (R,), or of what none of several columns explain.
+
+    Both are upper bounds: short recordings do not determine the coefficients of all columns.
+    """
+    shifts = [round(k * len(residual) / (SHIFTS + 1)) for k in range(SHIFTS + 1)]
+    errors = np.column_stack([np.roll(residual, shift) for shift in shifts])
+    part, *by_chance = np.minimum.reduce([_unexplained(own, errors, fold) for own in columns])
+    return float(np.mean(residual**2)) * (float(part) if part < min(by_chance) else 1.0)
+
+
+def _refitted(matrix: Array, residual: Array) -> Array:
+    """Return a residual (R,) outside the span of a model, as large as white noise was inside."""
+    basis = _basis(matrix)
+    left = 1.0 - basis.shape[1] / (BANDWIDTH * max(len(residual), 1))
+    if left < LEAST_LEFT:
+        return residual
+    return np.asarray((residual - basis @ (basis.T @ residual)) / np.sqrt(left))
+
+
+def _without_slow(fit: Fit, segments: Sequence[Processed], rows: Rows) -> Array:
+    """Return the RMS (n,) of what slow functions of time leave, where these are no noise, N·m."""
+    floors = []
+    for joint, residual in zip(rows.joints, rows.residuals(fit.values), strict=True):
+        slow = _slow_part(segments, joint, residual, int(rows.segments[-1]))
+        square = np.mean(residual**2) if len(residual) else np.inf
+        floors.append(np.sqrt(square * (1.0 - slow)))
+    return np.array(floors)
+
+
+def _slow_part(
+    segments: Sequence[Processed], joint: JointRows, residual: Array, count: int
+) -> float:
+    """Return the part of a residual's squares (R,) in slow functions of time; 0 if it is noise."""
+    line = np.zeros(count)
+    line[joint.instant] = residual
+    usable = np.zeros((count, 1), dtype=bool)
+    usable[joint.instant] = True
+    (run,) = runs_of(usable, segments, np.zeros((count, 1)))
+    target = line[run.all]
+    total = float(target @ target)
+    if total == 0.0:
+        return 0.0
+    time = np.concatenate([s.filtered_time for s in segments])
+    segment_of = np.repeat(np.arange(len(segments)), [len(s.filtered_time) for s in segments])
+    columns = np.hstack(slow_functions(time[run.all], segment_of[run.all]))
+    model = np.zeros((count, joint.matrix.shape[1]))
+    model[joint.instant] = joint.matrix
+    basis = _basis(model[run.all])
+    axes = _basis(columns - basis @ (basis.T @ columns))
+    target -= basis @ (basis.T @ target)  # on unseen recordings it contains errors of parameters
+    if not 0 < FEWEST_ROWS * axes.shape[1] < len(target):
+        return 0.0
+    along = axes.T @ target
+    found = noise_of(target - axes @ along, run)
+    white, coloured = found.variances(axes)
+    variance = found.spread**2 * float(np.mean(coloured / white))
+    slow = float(along @ along)
+    return slow / total if slow > NOT_NOISE * variance else 0.0
+
+
+def slow_functions(time: Array, segment_of: Indices) -> list[Array]:
+    """Return slow functions of time (R, k) of each segment: cosines and sines in turn."""
+    found = []
+    for k in np.unique(segment_of):
+        here = segment_of == k
+        place = time[here] - time[here].min()
+        length = max(float(place.max()), 1e-9)
+        waves = np.arange(1, min(WAVES, int(2.0 * FASTEST * length)) + 1)
+        phase = np.pi * np.outer(place / length, waves)
+        found.append(np.zeros((len(time), 2 * len(waves))))
+        found[-1][here] = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(place), -1)
+    return found
+
+
+def _basis(columns: Array) -> Array:
+    """Return an orthonormal basis (R, r) of the span of columns (R, k)."""
+    size = np.linalg.norm(columns, axis=0)
+    u, sizes, _ = np.linalg.svd(columns / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    return np.asarray(u[:, sizes > DEPENDENCE * sizes.max(initial=0.0)])
 
 
 def _uncertainty(fit: Fit, design: Design, rows: Rows) -> Array:

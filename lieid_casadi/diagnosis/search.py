@@ -9,7 +9,6 @@ from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len, rfft
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate, is_form
@@ -241,11 +240,9 @@ def _dependence(columns: Columns, noise: Sequence[Noise]) -> Array:
     for own, each in zip(columns.joints, noise, strict=True):
         if not len(own.matrix):
             continue
-        length = next_fast_len(2 * len(own.matrix), real=True)
-        density = np.abs(np.fft.rfft(each.filter, length)) ** -2
-        spectrum = np.abs(rfft(own.matrix, length, axis=0)) ** 2
-        power[own.columns] += spectrum.sum(axis=0)
-        coloured[own.columns] += density @ spectrum / density.mean()
+        white, own_noise = each.variances(own.matrix)
+        power[own.columns] += white
+        coloured[own.columns] += own_noise
     ratio = np.divide(coloured, power, out=np.ones(columns.count), where=power > 0.0)
     return np.maximum(np.add.reduceat(ratio, columns.start) / columns.size, 1.0)
 

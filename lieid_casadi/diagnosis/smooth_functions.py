@@ -17,6 +17,7 @@ from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
+from lieid_casadi.comparison.noise_floor import slow_functions
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.findings import number
 from lieid_casadi.diagnosis.path import Span
@@ -35,7 +36,7 @@ FIELDS = {"q": "q", "dq": "dq", "ddq": "ddq", "load": "load", "temp": "temperatu
 OTHERS = ("q", "dq", "load")  # signals of other joints that are tried
 DEPENDENT = 1e-9  # of the largest singular value
 LEAST_FOLLOWED = 0.5  # of a residual's square that signals must explain to be stated
-WAVES, FRICTION_WAVES = 6, 2  # half periods of the fastest slow function of time, in a segment
+FRICTION_WAVES = 2  # half periods of dry friction that changes with time, in a segment
 MOST_TERMS = 3  # of a formula
 CLOSE, LEAST_TERM = 0.97, 0.02  # part of a variance that is enough, and that a term must add
 LEAST_EXPLAINED = 0.8  # of the variance, by a formula that is stated
@@ -95,9 +96,12 @@ def followed_signals(rows: Rows, span: Span, joint: int, spread: Array) -> tuple
     total, weight = max(float(target @ target), 1e-300), rows.weights(spread)[joint][:, None]
     polynomials = dict(_polynomials(rows, joint))
     known: dict[tuple[str, ...], Array] = {(a,): x for a, x in polynomials.items()}
-    known["t",] = _slow(rows, joint, WAVES)
+    own = rows.runs[joint].all
+    slow = [waves[:, ::2] for waves in slow_functions(rows.times[own], rows.segment_of[own])]
+    known["t",] = np.hstack(slow)
     if "dq" in polynomials:  # dry friction that changes with time
-        known["t", "dq"] = _slow(rows, joint, FRICTION_WAVES) * polynomials["dq"][:, :1]
+        few = np.hstack([waves[:, :FRICTION_WAVES] for waves in slow])
+        known["t", "dq"] = few * polynomials["dq"][:, :1]
     known |= {pair: _products(pair, polynomials) for pair in combinations(polynomials, 2)}
     # slow errors have fewer independent rows than samples: about one in a second
     seconds = max(len(np.unique(rows.times[rows.runs[joint].all] // 1.0)), 2)
@@ -119,20 +123,6 @@ def named_column(signal: str, joint: int) -> str:
 def _of_other(signal: str) -> bool:
     """Return whether a signal is that of another joint."""
     return signal[-1].isdigit()
-
-
-def _slow(rows: Rows, joint: int, count: int) -> Array:
-    """Return slow functions of time (R_j, k) in each segment."""
-    own = rows.runs[joint].all
-    segment, times = rows.segment_of[own], rows.times[own]
-    columns = []
-    for k in np.unique(segment):
-        here = segment == k
-        place = times[here] - times[here].min()
-        waves = np.cos(np.pi * np.outer(place / max(place.max(), 1e-9), np.arange(1, count + 1)))
-        columns.append(np.zeros((len(own), count)))
-        columns[-1][here] = waves
-    return np.hstack(columns)
 
 
 def _products(names: Sequence[str], polynomials: Mapping[str, Array]) -> Array:

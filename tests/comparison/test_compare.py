@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 import lieid_casadi as lieid
-from lieid_casadi import plot_style
+from lieid_casadi import plant, plot_style
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.comparison.comparison import NUMBERS, verdict
 from lieid_casadi.comparison.series import (
@@ -136,6 +136,51 @@ def test_a_missing_effect_raises_the_error_and_not_the_noise(fit, missing):
     assert comparison.over_noise[0] > 5.0
     assert comparison.over_noise[1] < 1.5
     assert "On joint 1 the error in motion is " in verdict(comparison)
+
+
+def test_errors_of_parameters_are_no_missing_effect():
+    """Of 56 joints of complete models of 15 s, on recordings that the fit did not use."""
+    robot = lieid.robots.panda()
+    simulated = plant.demo_arm(robot, seed=0, hidden=None)
+
+    def noisy(seed):
+        t = np.arange(0.0, 15.0, 1.0 / arm.RATE)
+        motion = plant.FourierTrajectory(robot, base_frequency=1.0 / 15.0, seed=seed).at(t)
+        run = plant.measure_along(simulated, t, *motion, sensors=plant.Sensors(rate=arm.RATE))
+        memory = np.exp(-1.0 / (0.3 * arm.RATE))
+        white = np.sqrt(1.0 - memory**2) * np.random.default_rng(seed).normal(size=run.tau.shape)
+        noise = 0.02 * run.tau.std(axis=0) * lfilter([1.0], [1.0, -memory], white, axis=0)
+        return replace(run, tau=run.tau + noise)
+
+    model, processing = lieid.Model(robot, arm.EFFECTS), lieid.Processing(cutoff=5.0)
+    above = 0
+    for seed in range(0, 16, 2):
+        trained = lieid.identify(model, noisy(seed), processing=processing)
+        above += int(np.sum(lieid.compare(trained, noisy(seed + 1)).over_noise > 1.5))
+    assert above <= 1
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_slow_oscillation_with_time_is_no_noise(seed):
+    """The motion has a period of 6 s, the oscillation of 13 s."""
+    t = arm.motion(22.0)[0]
+    hum = np.column_stack([np.sin(2.0 * np.pi * 1.7 * t / 22.0), np.zeros(len(t))])
+    run = arm.recording(22.0, seed=seed, noise=0.3, extra=hum)
+    comparison = lieid.compare(arm.fit(run), run)
+    pure = white_through_filter(0.3, 6.0)
+    assert np.all(comparison.noise_floor < [1.5 * pure, 1.2 * pure])
+    assert comparison.over_noise[0] > 5.0
+    assert comparison.over_noise[1] < 1.2
+
+
+def test_noise_that_is_correlated_over_a_second_is_noise():
+    """Of 40 joints in 15 s."""
+    above = 0
+    for seed in range(20):
+        noise = coloured(1.0, 1.5, seed, len(arm.motion(15.0)[0]))
+        run = arm.recording(15.0, seed=seed, extra=noise)
+        above += int(np.sum(lieid.compare(arm.fit(run), run).over_noise > 1.5))
+    assert above <= 2
 
 
 def test_no_noise_floor_of_joints_at_rest(fit):

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len, rfft
 from scipy.optimize import brentq
 from scipy.signal import oaconvolve
 from scipy.special import erf
@@ -113,6 +114,16 @@ class Noise:
     def order(self) -> int:
         """Number of lags p."""
         return len(self.filter) - 1
+
+    def variances(self, columns: Array) -> tuple[Array, Array]:
+        """Return the variances (k,) of products of columns (R, k) with white noise, and with it.
+
+        Both are of the same size; the unit is arbitrary.
+        """
+        length = next_fast_len(2 * len(columns), real=True)
+        density = np.abs(np.fft.rfft(self.filter, length)) ** -2
+        spectrum = np.abs(rfft(columns, length, axis=0)) ** 2
+        return spectrum.sum(axis=0), density @ spectrum / density.mean()
 
     def times(self, factor: float) -> Noise:
         """Return noise with the same correlation, larger by a factor."""
