@@ -24,7 +24,11 @@ from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.least_squares import JointRows, Rows
+from lieid_casadi.identification.regression.least_squares import (
+    JointRows,
+    Rows,
+    unit_columns,
+)
 from lieid_casadi.identification.regression.variable_projection import shape_columns
 from lieid_casadi.identification.uncertainty.noise_model import (
     common_effect_columns,
@@ -47,7 +51,7 @@ SHIFTS = 15  # of the error against the motion
 WAVES, FASTEST = 5, 0.2  # half periods of slow functions of time in a segment; Hz
 #: Square of an error in slow functions of time, relative to the variance along one of them of noise
 #: with the spectrum of the rest, from which it is not noise. It is large because 15 s show badly
-#: the spectrum of noise that is correlated over 1 s: 2 of 200 joints exceed it (500: 16).
+#: the spectrum of noise that is correlated over 1 s: 2 of 320 joints exceed it, 16 of 200 half.
 NOT_NOISE = 1000.0
 
 SOURCES = {
@@ -194,8 +198,7 @@ def slow_functions(time: Array, segment_of: Indices) -> list[Array]:
 
 def _basis(columns: Array) -> Array:
     """Return an orthonormal basis (R, r) of the span of columns (R, k)."""
-    size = np.linalg.norm(columns, axis=0)
-    u, sizes, _ = np.linalg.svd(columns / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    u, sizes, _ = np.linalg.svd(unit_columns(columns)[0], full_matrices=False)
     return np.asarray(u[:, sizes > DEPENDENCE * sizes.max(initial=0.0)])
 
 
@@ -236,8 +239,7 @@ def _beside(columns: Array, errors: Array) -> Array:
     Least squares take a part of the noise from each band of frequencies: that which the columns'
     span has of it.
     """
-    axes, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    axes = axes[:, sizes > DEPENDENCE * sizes[0]]
+    axes = _basis(columns)
     rest = errors - axes @ (axes.T @ errors)
     left = 1.0 - _in_bands(axes).sum(axis=1)
     powers = _in_bands(rest) / np.maximum(left, LEAST_LEFT)[:, None]

@@ -45,7 +45,8 @@ LONG_WAY = 1e3  # rad, after which effects with memory are in steady state
 OTHER_SIGNALS = {"q", "ddq", "temperature", "time"}  # that a curve does not have
 STARTS, DESCENTS = 200, 10  # values of the shapes that are tried, and local searches from the best
 EVALUATIONS = 50  # of the residual in one local search
-SCANNED = 40  # values of each shape beside the others
+SCANNED, MOST_SCANS = 40, 5  # values of each shape beside the others; scans after a local search
+BETTER = 1e-3  # relative fall of the cost that is worth a further scan
 ZERO_COLUMN = 1e-9  # norm relative to the largest column below which a column counts as zero
 INVOLVED = 1e-3  # scaled component of a direction without information that is part of it
 NAMED = 0.05  # of a direction's largest component, above which a parameter is named
@@ -263,22 +264,34 @@ def _placements(
 def _best_shapes(problem: SeparableProblem, initial: Array) -> Array:
     """Return the shapes (s,) of the best of several local searches.
 
-    From each of their ends every shape is scanned over its whole range beside the others, and
-    searched again from the best value: one shape may hide in a narrow part of its range.
+    From the end of each every shape is scanned over its whole range beside the others and searched
+    again from the best value, until it is no better: one shape may hide in a narrow part of its
+    range.
     """
     if not len(initial):
         return initial
-    ranges = problem.ranges
+
+    def found(start: Array) -> Array:
+        best = minimize_shapes(problem, start, max_evaluations=EVALUATIONS)
+        for _ in range(MOST_SCANS):
+            start = min(_scanned(problem.ranges, best), key=problem.cost)
+            moved = minimize_shapes(problem, start, max_evaluations=EVALUATIONS)
+            if problem.cost(moved) > (1.0 - BETTER) * problem.cost(best):
+                break
+            best = moved
+        return best
+
     places = qmc.Halton(len(initial), scramble=False).random(STARTS + 1)[1:]
-    starts = sorted([initial, *ranges.shapes(places)], key=problem.cost)[:DESCENTS]
-    found = [minimize_shapes(problem, x, max_evaluations=EVALUATIONS) for x in starts]
-    for end in list(found):
-        tried = np.repeat(ranges.place(end)[None], len(end) * SCANNED, axis=0)
-        for k, own in enumerate(np.split(tried, len(end))):
-            own[:, k] = np.linspace(0.0, 1.0, SCANNED)
-        start = min(ranges.shapes(tried), key=problem.cost)
-        found.append(minimize_shapes(problem, start, max_evaluations=EVALUATIONS))
-    return min(found, key=problem.cost)
+    starts = sorted([initial, *problem.ranges.shapes(places)], key=problem.cost)[:DESCENTS]
+    return min(map(found, starts), key=problem.cost)
+
+
+def _scanned(ranges: ShapeRange, shapes: Array) -> Array:
+    """Return shapes (s · SCANNED, s) with each of them in turn anywhere in its range."""
+    places = np.repeat(ranges.place(shapes)[None], len(shapes) * SCANNED, axis=0)
+    for k, own in enumerate(np.split(places, len(shapes))):
+        own[:, k] = np.linspace(0.0, 1.0, SCANNED)
+    return ranges.shapes(places)
 
 
 def _covariance(matrix: Array, residual: Array) -> tuple[Array, tuple[Array, ...]]:

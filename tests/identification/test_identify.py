@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -22,6 +23,7 @@ from lieid_casadi.errors import (
     RoughFitWarning,
     UnidentifiableWarning,
 )
+from lieid_casadi.identification import fit_warnings
 from lieid_casadi.recording import Processing
 
 ROBOT = lieid.robots.two_link()
@@ -142,9 +144,11 @@ def test_recordings_that_determine_the_parameters_roughly_are_reported(duration,
     )
 
 
-def test_without_noise_no_fit_is_rough():
-    fit = lieid.identify(lieid.Model(ROBOT, "coulomb"), measured(duration=4.0)[1])
-    assert not [w for w in fit.warnings if isinstance(w, RoughFitWarning)]
+@pytest.mark.parametrize(("error", "warnings"), [(1e-9, 0), (1e-2, 1)])  # of 1 N·m
+def test_an_exact_fit_is_not_rough(error, warnings):
+    rows = SimpleNamespace(joints=[SimpleNamespace(torque=np.ones(10))])
+    found = fit_warnings.rough("wls", np.array([error]), np.array([2.0 * error]), rows)
+    assert len(found) == warnings
 
 
 def test_short_recordings_have_a_held_out_error():

@@ -269,7 +269,7 @@ class ConvexSolver:
         self._weight.value = weight
         began = time.perf_counter()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the accuracy, which is `LARGEST_GAP` at least
+            warnings.simplefilter("ignore")  # of an accuracy between `TOLERANCE` and `LARGEST_GAP`
             try:
                 self._program.solve(
                     solver=cp.CLARABEL,
