@@ -8,7 +8,8 @@ couplings of the joints (`coupling_columns`), by ridge regression whose penalty 
 held-out blocks of time. Functions of the motion explain a part of slow noise by chance: an error
 counts as noise unless they explain more of it than of the same error at every other time of the
 motion (shifted surrogates; Theiler et al., Physica D 1992). Nor is an error noise that follows
-slow functions of time far more than noise with the spectrum of the rest would. On recordings that
+slow functions of time, or dry friction that changes so, far more than noise with the spectrum of
+the rest would. On recordings that
 the fit did not use the floor contains the error of its uncertain parameters. It never exceeds the
 error itself.
 """
@@ -144,17 +145,22 @@ def _refitted(matrix: Array, residual: Array) -> Array:
 def _without_slow(fit: Fit, segments: Sequence[Processed], rows: Rows) -> Array:
     """Return the RMS (n,) of what slow functions of time leave, where these are no noise, N·m."""
     floors = []
-    for joint, residual in zip(rows.joints, rows.residuals(fit.values), strict=True):
-        slow = _slow_part(segments, joint, residual, int(rows.segments[-1]))
+    direction = np.concatenate([_direction(segment) for segment in segments])
+    for j, residual in enumerate(rows.residuals(fit.values)):
+        slow = _slow_part(segments, rows.joints[j], residual, direction[:, [j]])
         square = np.mean(residual**2) if len(residual) else np.inf
         floors.append(np.sqrt(square * (1.0 - slow)))
     return np.array(floors)
 
 
 def _slow_part(
-    segments: Sequence[Processed], joint: JointRows, residual: Array, count: int
+    segments: Sequence[Processed], joint: JointRows, residual: Array, direction: Array
 ) -> float:
-    """Return the part of a residual's squares (R,) in slow functions of time; 0 if it is noise."""
+    """Return the part of a residual's squares (R,) that changes slowly with time, 0 if it is noise.
+
+    That is torque, and dry friction in the ``direction`` (N, 1) of the motion.
+    """
+    count = len(direction)
     line = np.zeros(count)
     line[joint.instant] = residual
     usable = np.zeros((count, 1), dtype=bool)
@@ -169,17 +175,20 @@ def _slow_part(
     columns = np.hstack(slow_functions(time[run.all], segment_of[run.all]))
     model = np.zeros((count, joint.matrix.shape[1]))
     model[joint.instant] = joint.matrix
-    basis = _basis(model[run.all])
-    axes = _basis(columns - basis @ (basis.T @ columns))
+    basis, found = _basis(model[run.all]), 0.0
     target -= basis @ (basis.T @ target)  # on unseen recordings it contains errors of parameters
-    if not 0 < FEWEST_ROWS * axes.shape[1] < len(target):
-        return 0.0
-    along = axes.T @ target
-    found = noise_of(target - axes @ along, run)
-    white, coloured = found.variances(axes)
-    variance = found.spread**2 * float(np.mean(coloured / white))
-    slow = float(along @ along)
-    return slow / total if slow > NOT_NOISE * variance else 0.0
+    for own in (columns, columns * direction[run.all]):
+        axes = _basis(own - basis @ (basis.T @ own))
+        along = axes.T @ target
+        rest = target - axes @ along
+        if not 0 < FEWEST_ROWS * axes.shape[1] < len(target):
+            continue
+        noise = noise_of(rest, run)
+        white, coloured = noise.variances(axes)
+        slow = float(along @ along)
+        if slow > NOT_NOISE * noise.spread**2 * float(np.mean(coloured / white)):
+            found, target = found + slow, rest
+    return found / total
 
 
 def slow_functions(time: Array, segment_of: Indices) -> list[Array]:
@@ -264,7 +273,7 @@ def _held_out(columns: Array, errors: Array, out: Mask) -> Array:
     )
 
 
-STEEP = 10.0  # of the smoothed sign of another joint's velocity, relative to its top speed
+STEEP = 10.0  # of the smoothed sign of a joint's velocity, relative to its top speed
 
 
 def motion_columns(fit: Fit, segment: Processed) -> Array:
@@ -279,7 +288,7 @@ def motion_columns(fit: Fit, segment: Processed) -> Array:
     time = segment.filtered_time
     torque = segment.filter(torque_along(fit.compiled, segment, fit.parameters, fit.shapes))
     rate = np.gradient(torque, time, axis=0) if len(time) > 1 else np.zeros_like(load)
-    direction = np.tanh(STEEP * dq / np.maximum(np.abs(dq).max(axis=0), 1e-9))
+    direction = _direction(segment)
     own = [np.ones_like(q), direction, np.abs(dq), q, load, rate, np.sin(2 * q), np.cos(2 * q)]
     others = np.concatenate([dq, direction], axis=1)
     return np.concatenate(
@@ -290,6 +299,12 @@ def motion_columns(fit: Fit, segment: Processed) -> Array:
         ],
         axis=-1,
     )
+
+
+def _direction(segment: Processed) -> Array:
+    """Return the smoothed signs (M, n) of the velocities along a segment."""
+    dq = segment.filter(segment.dq)
+    return np.asarray(np.tanh(STEEP * dq / np.maximum(np.abs(dq).max(axis=0), 1e-9)))
 
 
 def coupling_columns(segment: Processed) -> Array:

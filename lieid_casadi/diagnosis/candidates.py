@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Literal
 
 import numpy as np
 
@@ -34,6 +35,27 @@ VELOCITY_SCALES = (3.0, 0.35)
 
 
 @dataclass(frozen=True, eq=False)
+class Course:
+    """A change in the course of a recording: from an instant on (``later``), or a slow ``wave``."""
+
+    kind: Literal["later", "wave"]
+    #: (G,) to try: times of the recording, or periods, s
+    at: Array
+
+    @property
+    def columns(self) -> int:
+        """Number of columns in place of each one of an effect: cosine and sine of a wave."""
+        return 1 if self.kind == "later" else 2
+
+    def factors(self, time: Array) -> Array:
+        """Return what each column is multiplied by (R, G, f) at times (R,) of the recording."""
+        if self.kind == "later":
+            return np.asarray((time[:, None] >= self.at)[..., None], dtype=float)
+        phase = 2.0 * np.pi * time[:, None] / self.at
+        return np.stack([np.cos(phase), np.sin(phase)], axis=2)
+
+
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """One effect in one place, with its shape parameters on a grid."""
 
@@ -43,6 +65,8 @@ class Candidate:
     grid: Array
     #: the one (from 0) in which it acts; None for all of them
     recording: int | None = None
+    #: how it acts in the course of a recording; None for an effect that does not change
+    course: Course | None = None
 
     def refined(self, points: Sequence[int], positions: Sequence[float]) -> Candidate:
         """Return the candidate with further grid points around the points of some indices.
@@ -92,16 +116,25 @@ class Candidate:
         return isinstance(self.effect, ArmEffect) and self.effect.reach != "joint"
 
     @property
+    def of_arm(self) -> bool:
+        """Whether it acts in all recordings at all times, as an effect of the arm does."""
+        return self.recording is None and self.course is None
+
+    @property
     def label(self) -> str:
         """The effect as written on the command line: ``stribeck:4``."""
         where = "" if self.recording is None else f" in recording {self.recording + 1}"
-        return self.placement.label + where
+        return (
+            self.placement.label + where + ("" if self.course is None else f", {self.course.kind}")
+        )
 
     @property
     def parameters(self) -> int:
-        """Number of parameters that it adds to a model; the choice of one recording is one, too."""
+        """Number of parameters that it adds to a model; recording and course are one each, too."""
         fitted = [shape for shape in self.effect.shapes if shape.data is None]
-        return len(self.effect.coefficients) + len(fitted) + (self.recording is not None)
+        chosen = (self.recording is not None) + (self.course is not None)
+        each = 1 if self.course is None else self.course.columns
+        return each * len(self.effect.coefficients) + len(fitted) + chosen
 
 
 def joints_of(placement: Placement) -> tuple[int, ...]:

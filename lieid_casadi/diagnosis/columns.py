@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.candidates import Candidate, Course
 from lieid_casadi.effects import ArmEffect, Effect
 from lieid_casadi.expressions.effect_function import OWN, EffectFunction
 from lieid_casadi.identification import Fit
@@ -64,6 +65,16 @@ class JointColumns:
 
 
 @dataclass(frozen=True, eq=False)
+class RowPart:
+    """One recording or each of them, whole or with a change in its course."""
+
+    recording: int | None
+    course: Course | None
+    #: by joint, (R_j, G, f): what columns are multiplied by at each of G points of the course
+    factors: Sequence[Array]
+
+
+@dataclass(frozen=True, eq=False)
 class Columns:
     """Columns of candidates, in groups: one group is a candidate at one point of its grid."""
 
@@ -103,7 +114,7 @@ class Columns:
     def common(self) -> Indices:
         """Of each owner that is a drift in one recording, the owner that is it in all; else −1."""
         labels = {c.label: k for k, c in enumerate(self.owners) if c.effect.per_recording}
-        alone = [c.recording is not None for c in self.owners]
+        alone = [not c.of_arm for c in self.owners]
         pairs = zip(self.owners, alone, strict=True)
         each = [labels.get(c.placement.label, -1) if one else -1 for c, one in pairs]
         return np.array(each, dtype=np.intp)
@@ -192,39 +203,48 @@ class Columns:
         start = np.cumsum(size) - size
         return Columns(self.owners, self.owner[groups], self.point[groups], start, size, joints)
 
-    def with_only(self, recordings: Sequence[Indices], wanted: Sequence[int]) -> Columns:
-        """Return the columns, and copies of some groups for each recording, which act in it only.
-
-        ``recordings`` has the recording of each row, of each joint (R_j,).
-        """
-        count = 1 + max((int(r.max(initial=0)) for r in recordings), default=0)
-        if count < 2 or not len(wanted):
-            return self
-        owners, owner, point, size = list(self.owners), [], [], []
-        pieces: list[list[tuple[int, Array]]] = [[] for _ in recordings]
-        first = self.count
-        for g in wanted:
-            dense = self.dense(g)
-            for k in range(count):
-                owner.append(len(owners))
-                point.append(int(self.point[g]))
-                size.append(int(self.size[g]))
-                owners.append(replace(self.candidate(g), recording=k))
-                for j, (values, rows) in enumerate(zip(dense, recordings, strict=True)):
+    def only_in(self, parts: Sequence[RowPart]) -> Columns:
+        """Return copies of all groups that act in parts of the rows only."""
+        owners, owner, point, size = list[Candidate](), list[int](), list[int](), list[int]()
+        pieces: list[list[tuple[int, Array]]] = [[] for _ in self.joints]
+        first = 0
+        for g, part in product(range(len(self.size)), parts):
+            dense, copy = self.dense(g), replace(self.candidate(g), recording=part.recording)
+            points = [int(self.point[g])]
+            if part.course is not None:
+                points = list(range(len(part.course.at)))
+                copy = replace(copy, course=part.course, grid=np.zeros((len(points), 0)))
+            owners.append(copy)
+            for k, place in enumerate(points):
+                owner.append(len(owners) - 1)
+                point.append(place)
+                for j, (values, factors) in enumerate(zip(dense, part.factors, strict=True)):
                     if values.any():
-                        pieces[j].append((first, values * (rows == k)[:, None]))
+                        own = np.hstack([values * f[:, None] for f in factors[:, k].T])
+                        pieces[j].append((first, own))
+                size.append(int(self.size[g]) * part.factors[0].shape[2])
                 first += size[-1]
-        more = assemble(owners, owner, point, size, pieces, [len(r) for r in recordings])
+        counts = [len(own.matrix) for own in self.joints]
+        return assemble(owners, owner, point, size, pieces, counts)
+
+    def joined(self, further: Sequence[Columns]) -> Columns:
+        """Return the columns and further ones, of other owners."""
+        every = (self, *further)
+        counts = [len(each.owners) for each in every]
+        firsts = np.cumsum([0, *(each.count for each in every)])
         joints = tuple(
-            JointColumns(np.append(a.columns, b.columns), np.hstack([a.matrix, b.matrix]))
-            for a, b in zip(self.joints, more.joints, strict=True)
+            JointColumns(
+                np.concatenate([f + own.columns for f, own in zip(firsts, of_joint, strict=False)]),
+                np.hstack([own.matrix for own in of_joint]),
+            )
+            for of_joint in zip(*(each.joints for each in every), strict=True)
         )
         return Columns(
-            tuple(owners),
-            np.append(self.owner, more.owner),
-            np.append(self.point, more.point),
-            np.append(self.start, self.count + more.start),
-            np.append(self.size, more.size),
+            tuple(owner for each in every for owner in each.owners),
+            np.concatenate([sum(counts[:k]) + each.owner for k, each in enumerate(every)]),
+            np.concatenate([each.point for each in every]),
+            np.concatenate([f + each.start for f, each in zip(firsts, every, strict=False)]),
+            np.concatenate([each.size for each in every]),
             joints,
         )
 

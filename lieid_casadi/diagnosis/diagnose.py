@@ -3,9 +3,10 @@
 The method, for missing effects (`missing`):
 
 1. Fit the model; leave out contact and faults (`events`).
-2. Evaluate every effect of the library on every joint on the rows of the fit (`rows`), and find the
-   path of effects that together explain most (`path`), on all rows and on the rows outside each of
-   ten held-out stretches of time (`folds`, `search`).
+2. Evaluate every effect of the library on every joint on the rows of the fit (`rows`), and what
+   changes between recordings or in the course of one; find the path of effects that together
+   explain most (`path`), on all rows and on the rows outside each of ten held-out stretches of time
+   (`folds`, `search`).
 3. Add the effects that lower the error of stretches which their choice did not see (`evidence`), if
    their values are plausible (`gates`); smooth functions where no effect of the library does.
 4. Search again beside them, effects that several joints have on the others alone, and delays where

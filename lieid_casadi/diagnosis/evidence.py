@@ -177,9 +177,9 @@ def judge(
 def _of_the_arm(slot: Slot, columns: Columns) -> int:
     """Return the group of an effect, or that of all recordings if a path has it in its place."""
     mine = columns.candidate(slot.group)
-    for group in slot.instead if mine.recording is not None else ():
+    for group in () if mine.of_arm else slot.instead:
         other = columns.candidate(group)
-        if other.recording is None and other.placement.label == mine.placement.label:
+        if other.of_arm and other.placement.label == mine.placement.label:
             return group
     return slot.group
 

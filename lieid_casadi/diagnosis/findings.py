@@ -177,16 +177,26 @@ def _motion(steps: Sequence[Step]) -> str:
 
 
 def difference_sentence(each: Difference) -> str:
-    """Return what is not the same in all training recordings."""
+    """Return what is not the same in all training recordings, or in all of one."""
     values = []
     for name, value in each.parameters.items():
         unit = each.units.get(name, "")
         values.append(f"{name} = {number(value)} {'' if unit == '1' else unit}".strip())
+    where, text = location(each.joints), join_words(values)
+    if each.period is not None:
+        return (
+            f"The torque of {where} oscillates with time, whatever the motion: period "
+            f"{number(each.period)} s, {text} ({each.recording}). No model of the arm has that."
+        )
+    if each.since is not None:
+        return (
+            f"Something changed during {each.recording}: from {number(each.since)} s on, "
+            f"{each.effect} on {where} is not the same ({text} more). No model of the arm has that."
+        )
     what = "is not the same in all" if each.of_model else "is not found in all"
     return (
         f"The training recordings differ from each other: in {each.recording}, {each.effect} "
-        f"on {location(each.joints)} ({join_words(values)} more) {what}, so it is no effect of the "
-        "arm."
+        f"on {where} ({text} more) {what}, so it is no effect of the arm."
     )
 
 

@@ -76,7 +76,12 @@ GATES: tuple[Gate, ...] = (implausible_sign, implausible_size, unresolved_shape,
 def reason_against(
     candidate: Candidate, shapes: Array, values: Array, segments: Sequence[Processed]
 ) -> str | None:
-    """Return the first reason of `GATES` against the fitted values of a candidate, or None."""
+    """Return the first reason of `GATES` against the fitted values of a candidate, or None.
+
+    A change in the course of a recording may have either sign.
+    """
+    if candidate.course is not None:
+        return None
     found = np.atleast_1d(values)
     reasons = (gate(candidate, shapes, found, segments) for gate in GATES)
     return next((reason for reason in reasons if reason is not None), None)

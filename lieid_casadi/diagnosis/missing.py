@@ -27,6 +27,7 @@ from lieid_casadi.diagnosis.step import Difference, MotionGain
 from lieid_casadi.diagnosis.steps import (
     Accepted,
     absorbed_and_weak,
+    difference_of,
     fall_of,
     fitted_values,
     late_friction,
@@ -125,6 +126,7 @@ class MissingEffects:
             self.rejected,
             lambda j: followed_signals(last_rows, span, j, spread),
             options,
+            self.differing,
         )
         shown = after or fitted
         verdict = "effect_found" if steps else "sufficient"
@@ -147,7 +149,7 @@ class MissingEffects:
             baseline_effects=tuple(first.model.effects),
             baseline=_errors(first, before),
             expected=None,
-            tried=sum(c.recording is None for c in last.paths.columns.owners),
+            tried=sum(c.of_arm for c in last.paths.columns.owners),
             absorbed=absorbed,
             weak=weak,
             warnings=unique_warnings(
@@ -415,7 +417,7 @@ class MissingEffects:
         sure += [a.candidate for a in accepted]
         have = {a.placement.label for a in accepted}
         for slot, candidate in candidates.items():
-            if candidate.recording is not None:
+            if not candidate.of_arm:
                 continue
             label = candidate.label
             reason = slot.reason(self.options, elsewhere=_elsewhere(candidate, sure))
@@ -436,25 +438,16 @@ class MissingEffects:
         return [Accepted.of(found, slot, groups, accepted, self.options) for slot in new]
 
     def _set_apart(self, found: Round) -> bool:
-        """Keep what differs between the recordings, and set its columns apart; whether any does."""
+        """Keep what differs between recordings or changes, and set it apart; whether any does."""
         before = len(self.apart)
         own = {p.label for p in self.first.model.placements}
         for slot in found.slots:
             candidate = found.candidate(slot.group)
-            if candidate.recording is None or slot.reason(self.options) is not None:
+            if candidate.of_arm or slot.reason(self.options) is not None:
                 continue
-            names = [c.name for c in candidate.effect.coefficients]
-            self.differing.append(
-                Difference(
-                    candidate.placement.label,
-                    candidate.name,
-                    candidate.joints,
-                    found.rows.recording_names[candidate.recording],
-                    dict(zip(names, map(float, slot.values), strict=True)),
-                    {c.name: c.unit for c in candidate.effect.coefficients},
-                    candidate.placement.label in own,
-                )
-            )
+            stated = difference_of(found, slot, of_model=candidate.placement.label in own)
+            if not any(stated.repeats(each) for each in self.differing):
+                self.differing.append(stated)
             self.apart.append(found.rows.columns.dense(slot.group))
         return len(self.apart) > before
 

@@ -114,7 +114,7 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
     examined, done = list[int](), set[int]()
     for group in map(int, (*slot.instead, *near[np.argsort(-gains[near])])):
         other, owner = columns.candidate(group), int(columns.owner[group])
-        if owner in done or other.recording is not None or _same_kind(mine, other):
+        if owner in done or not other.of_arm or _same_kind(mine, other):
             continue
         estimate = values[columns.of_group(group)]
         if reason_against(other, columns.shapes(group), estimate, rows.segments) is not None:

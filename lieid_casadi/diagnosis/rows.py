@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.diagnosis.candidates import Candidate, list_candidates
+from lieid_casadi.comparison.noise_floor import FASTEST, WAVES
+from lieid_casadi.diagnosis.candidates import Candidate, Course, list_candidates
 from lieid_casadi.diagnosis.columns import (
     Columns,
     ColumnStore,
+    RowPart,
     SegmentSignals,
     evaluate,
     scan_peaks,
@@ -158,10 +160,66 @@ class Rows:
     @cached_property
     def recording_of(self) -> list[Indices]:
         """Recording (from 0) of each row, by joint."""
+        return [self._recordings[run.all] for run in self.runs]
+
+    @cached_property
+    def _recordings(self) -> Indices:
+        """Recording of each instant of the common time line."""
         keys = [(s.recording.name, s.recording.source_hash) for s in self.segments]
         order = list(dict.fromkeys(keys))
-        line = np.array([order.index(key) for key in keys], dtype=np.intp)[self.segment_of]
-        return [line[run.all] for run in self.runs]
+        return np.array([order.index(key) for key in keys], dtype=np.intp)[self.segment_of]
+
+    @cached_property
+    def clock(self) -> Array:
+        """Time of its recording of each instant of the common time line, s."""
+        return np.concatenate([s.filtered_time for s in self.segments])
+
+    def part(self, recording: int | None, course: Course | None = None) -> RowPart:
+        """Return one recording, or each of them (None), with a change in its course or whole."""
+        factors = np.ones((len(self.clock), 1, 1))
+        if course is not None:
+            factors = course.factors(self.clock)
+        if recording is not None:
+            factors = factors * (self._recordings == recording)[:, None, None]
+        return RowPart(recording, course, [factors[run.all] for run in self.runs])
+
+    def recording_parts(self) -> list[RowPart]:
+        """Return each recording; none if there is one only."""
+        count = len(self.recording_names)
+        return [self.part(k) for k in range(count if count > 1 else 0)]
+
+    def later_parts(self, count: int) -> list[RowPart]:
+        """Return what comes after instants in one recording, and in each of several.
+
+        ``count`` instants divide all of the time, and the longest recording.
+        """
+        line = np.unique(np.concatenate([run.all for run in self.runs]))
+        if len(line) <= count:
+            return []
+        at = line[np.linspace(0, len(line), count + 2).astype(np.intp)[1:-1]]
+        own = self._recordings[at]
+        every: list[tuple[int | None, Array]] = [
+            (int(k), self.clock[at][own == k]) for k in np.unique(own)
+        ]
+        if len(self.recording_names) > 1:
+            ends = self.clock.min(), self.clock.max()
+            every.append((None, np.linspace(*ends, count + 2)[1:-1]))
+        return [self.part(k, Course("later", since)) for k, since in every]
+
+    def waves(self, count: int) -> list[RowPart]:
+        """Return slow waves in one recording, and in each of several, of ``count`` periods."""
+        whole = range(len(self.recording_names))
+        found = []
+        for k in [None, *whole] if len(whole) > 1 else whole:
+            length = np.ptp(self.clock[self._recordings == k] if k is not None else self.clock)
+            if length * FASTEST > 1.0:  # less than a whole wave resembles a drift
+                frequencies = np.linspace(1.0, min(WAVES / 2.0, FASTEST * length), count) / length
+                found.append(self.part(k, Course("wave", 1.0 / frequencies)))
+        return found
+
+    def recording_name(self, k: int | None) -> str:
+        """Return the name of a recording; None stands for each of them."""
+        return "each recording" if k is None else self.recording_names[k]
 
     @cached_property
     def late_friction(self) -> tuple[Array, ...]:

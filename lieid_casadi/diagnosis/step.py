@@ -262,7 +262,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """Error of a joint that neither effects nor smooth functions lower on held-out data.
+    """Error of a joint that no model of the arm lowers on held-out data.
 
     Attributes
     ----------
@@ -273,11 +273,13 @@ class Unexplained:
     ratio : float
         Error in motion relative to the noise floor, or to the expected error of a kept model.
     depends_on : tuple of str
-        Signals of the effect that explains most of it and was not added; none without one.
+        Signals that it follows, ``t`` is time; none if they are not known.
     candidates : tuple of (str, str)
         Effects that explain part of it on the training data, and why each was not added.
     recordings : str
         Where it is that large: ``training recordings`` or ``test``; empty without a test.
+    beyond_noise : bool
+        Whether the error is so large; otherwise a part of it changes with time.
     """
 
     joint: int
@@ -286,10 +288,13 @@ class Unexplained:
     depends_on: tuple[str, ...] = ()
     candidates: tuple[tuple[str, str], ...] = ()
     recordings: str = ""
+    beyond_noise: bool = True
 
     @property
     def relation(self) -> str:
         """What the error is, as a clause."""
+        if not self.beyond_noise:
+            return f"{100 * self.fraction:.0f} % of the error's square change with time"
         where = f" on the {self.recordings}" if self.recordings else ""
         return (
             f"the error in motion{where} is {self.ratio:.2g} times what noise explains, and "
@@ -309,7 +314,13 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class Difference:
-    """An effect that is not the same in all training recordings; joints from 0."""
+    """An effect that is not the same in all training recordings, or all of one; joints from 0.
+
+    ``since``: time of the recording from which it is, s; None for all of it.
+    ``period``: of a slow oscillation with time, s.
+    ``fraction``: of the square of its joint's error on held-out data.
+    ``depends_on``: time (``t``) and signals of a change in the course of a recording.
+    """
 
     label: str
     effect: str
@@ -318,6 +329,16 @@ class Difference:
     parameters: dict[str, float]
     units: dict[str, str]
     of_model: bool
+    since: float | None = None
+    period: float | None = None
+    fraction: float = 0.0
+    depends_on: tuple[str, ...] = ()
+
+    def repeats(self, other: Difference) -> bool:
+        """Return whether this is a rest of another change, at a neighbouring instant or period."""
+        return (self.label, self.recording, self.depends_on) == (
+            other.label, other.recording, other.depends_on
+        )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -326,6 +347,8 @@ class Difference:
             "joints": [j + 1 for j in self.joints],
             "label": self.label,
             "recordings": [self.recording],
+            "from": self.since,
+            "period": self.period,
             "parameters": self.parameters,
             "is_change": self.of_model,
         }

@@ -16,8 +16,17 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import changes_at_once, rivals_of
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round
-from lieid_casadi.diagnosis.smooth_functions import formula_of, named_column
-from lieid_casadi.diagnosis.step import Doubt, Evidence, Fall, Rival, Status, Step, Unexplained
+from lieid_casadi.diagnosis.smooth_functions import FIELDS, formula_of, named_column
+from lieid_casadi.diagnosis.step import (
+    Difference,
+    Doubt,
+    Evidence,
+    Fall,
+    Rival,
+    Status,
+    Step,
+    Unexplained,
+)
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.effects.registry import usable
 from lieid_casadi.errors import LateFrictionWarning
@@ -271,18 +280,48 @@ def signals_of(placement: Placement) -> tuple[str, ...]:
     return tuple(named_column(part, placement.joint) for part in parts)
 
 
+def difference_of(found: Round, slot: Slot, *, of_model: bool) -> Difference:
+    """Return an effect that acts in one recording only, or changes in the course of one."""
+    candidate, values = found.candidate(slot.group), slot.values
+    since = period = None
+    signals: tuple[str, ...] = ()
+    if candidate.course is not None:
+        at = float(candidate.course.at[found.paths.columns.point[slot.group]])
+        since, period = (at if candidate.course.kind == k else None for k in ("later", "wave"))
+        letters = {field: letter for letter, field in FIELDS.items()} | {"sign": "dq"}
+        own = [letters[s] for s in candidate.effect.signals if s in letters]
+        signals = ("t", *dict.fromkeys(named_column(s, candidate.joint) for s in own))
+        if period is not None:
+            values = np.hypot(*np.split(values, 2))  # cosine and sine
+    names = [c.name for c in candidate.effect.coefficients]
+    return Difference(
+        candidate.placement.label,
+        candidate.name,
+        candidate.joints,
+        found.rows.recording_name(candidate.recording),
+        dict(zip(names, map(float, values), strict=True)),
+        {c.name: c.unit for c in candidate.effect.coefficients},
+        of_model,
+        since,
+        period,
+        1.0 - float(slot.after[slot.joint] / slot.before[slot.joint]),
+        signals,
+    )
+
+
 def unexplained_parts(
     fitted: Comparison,
     tested: Comparison | None,
     rejected: Mapping[str, str],
     follows: Callable[[int], tuple[str, ...]],
     options: DiagnosisOptions,
+    differing: Sequence[Difference],
 ) -> tuple[Unexplained, ...]:
-    """Return the joints whose error in motion is above the noise floor of the same recording.
+    """Return the joints whose error in motion is above the noise floor, or changes with time.
 
     ``fitted`` and ``tested`` compare the final fit with training recordings and test, ``rejected``
-    has candidates that were selected and not added, and why, and ``follows`` gives the signals that
-    the residual of a joint follows.
+    has candidates that were selected and not added, and why, ``follows`` gives the signals that the
+    residual of a joint follows, and ``differing`` are changes of effects of the model.
     """
     ratio = _over_floor(fitted.rms_moving, fitted.noise_floor)
     where = [""] * len(ratio)
@@ -292,16 +331,19 @@ def unexplained_parts(
             "test" if u > r else "training recordings" for u, r in zip(unseen, ratio, strict=True)
         ]
         ratio = np.maximum(ratio, unseen)
+    changing = {each.joints[0]: each for each in differing if each.depends_on}
+    large = [int(j) for j in np.argsort(-ratio) if ratio[j] > options.largest_error]
     found = []
-    for j in np.argsort(-ratio):
-        if ratio[j] > options.largest_error:
-            own = tuple((k, why) for k, why in rejected.items() if _acts_on(k, int(j)))
-            fraction = float(1.0 - ratio[j] ** -2)
-            found.append(
-                Unexplained(
-                    int(j), fraction, float(ratio[j]), follows(int(j)), own, recordings=where[j]
-                )
+    for j in dict.fromkeys([*changing, *large]):
+        own = tuple((k, why) for k, why in rejected.items() if _acts_on(k, j))
+        fraction = float(1.0 - ratio[j] ** -2) if j in large else changing[j].fraction
+        signals = changing[j].depends_on if j in changing else follows(j)
+        found.append(
+            Unexplained(
+                j, fraction, float(ratio[j]), signals, own,
+                recordings=where[j], beyond_noise=j in large,
             )
+        )  # fmt: skip
     return tuple(found)
 
 
@@ -313,14 +355,12 @@ def absorbed_and_weak(found: Round) -> tuple[tuple[str, ...], tuple[tuple[str, f
         norms = found.paths.norms[own]
         left = np.sqrt(np.clip(np.einsum("gkk->gk", gram), 0.0, None) / np.maximum(norms, 1e-300))
         np.maximum.at(remaining, columns.owner[groups], left.max(axis=1))
-    labels = [c.label for c in columns.owners]
+    parts = {
+        c.label: float(part) for c, part in zip(columns.owners, remaining, strict=True) if c.of_arm
+    }
     return (
-        tuple(k for k, part in zip(labels, remaining, strict=True) if part < ABSORBED),
-        tuple(
-            (k, float(part))
-            for k, part in zip(labels, remaining, strict=True)
-            if ABSORBED <= part < WEAK
-        ),
+        tuple(k for k, part in parts.items() if part < ABSORBED),
+        tuple((k, part) for k, part in parts.items() if ABSORBED <= part < WEAK),
     )
 
 

@@ -1,0 +1,74 @@
+"""Friction and torque that change in the course of a recording, which no effect of an arm does."""
+
+import numpy as np
+import pytest
+from plant.recordings import recorded
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+
+ROBOT = lieid.robots.two_link()
+MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
+SERIES = {"seconds": 20.0, "step": 0.004}
+INSTANT = 8.3  # s
+PERIOD, AMPLITUDE = 9.0, 0.3  # s, N·m
+
+
+def measured(torque=None, *, joint=1, seed=1, name="a.csv"):
+    """Return 20 s of an arm with a further torque on one joint."""
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    if torque is not None:
+        arm = arm.with_effects(plant.ForeignTorque(joint, function=torque))
+    return recorded(arm, seed, **SERIES, name=name)
+
+
+def more_friction(size):
+    return lambda s: np.where(s.t >= INSTANT, size, 0.0) * s.sign[..., 1]
+
+
+def wave(s):
+    return AMPLITUDE * np.sin(2.0 * np.pi * s.t / PERIOD + 1.0) * np.ones(s.q.shape[:-1])
+
+
+@pytest.mark.parametrize("size", [0.6, -0.6])
+def test_friction_that_changes_at_an_instant_is_stated_and_no_effect_takes_its_place(size):
+    diagnosis = lieid.diagnose(MODEL, measured(more_friction(size), seed=3))
+    assert not diagnosis.steps
+    assert diagnosis.verdict == "unexplained"
+    (found,) = diagnosis.differing
+    assert (found.label, found.recording, found.of_model) == ("coulomb:2", "a.csv", True)
+    assert found.since == pytest.approx(INSTANT, abs=0.5)
+    assert found.parameters["f_c"] == pytest.approx(size, rel=0.2)
+    (part,) = diagnosis.unexplained
+    assert (part.joint, part.depends_on) == (1, ("t", "dq2"))
+    written = diagnosis.to_dict()
+    (stated,) = written["differs_between_recordings"]
+    assert (stated["from"], stated["period"]) == (found.since, None)
+    assert written["unexplained"][0]["depends_on"] == ["t", "dq2"]
+    assert "Something changed during a.csv" in diagnosis.sentence
+
+
+def test_friction_that_changes_in_each_recording_is_one_change():
+    train = [measured(more_friction(0.3), seed=k, name=f"{k}.csv") for k in (1, 2)]
+    (found,) = lieid.diagnose(MODEL, train).differing
+    assert (found.label, found.recording) == ("coulomb:2", "each recording")
+    assert found.since == pytest.approx(INSTANT, abs=0.5)
+
+
+def test_a_torque_that_oscillates_with_time_is_stated_with_period_and_size():
+    diagnosis = lieid.diagnose(MODEL, measured(wave, joint=0))
+    assert not diagnosis.steps
+    (found,) = diagnosis.differing
+    assert (found.label, found.since) == ("offset:1", None)
+    assert found.period == pytest.approx(PERIOD, rel=0.1)
+    assert found.parameters["f_b"] == pytest.approx(AMPLITUDE, rel=0.2)
+    assert [(part.joint, part.depends_on) for part in diagnosis.unexplained] == [(0, ("t",))]
+    assert "oscillates with time" in diagnosis.sentence
+
+
+def test_warming_up_is_no_sudden_change():
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    arm = arm.with_effects(plant.hidden_effect(arm, "warm_up", 1, strength=1.0))
+    diagnosis = lieid.diagnose(MODEL, recorded(arm, 1, **SERIES))
+    assert [step.label for step in diagnosis.steps] == ["warm_up:2"]
+    assert not diagnosis.differing
