@@ -147,7 +147,7 @@ def _judged(
     every = range(len(rows.runs))
     whole, other = (forward(paths, -1, rules, smooth_first=first) for first in ((), every))
     folds = folds_of(rows, _residual_beside(paths, whole, rows, spread), options.folds)
-    kept = np.union1d(_promising(paths, whole, rules), _promising(paths, other, rules))
+    kept = _promising(paths, (whole, other), rules)
     few = Paths(paths.span, paths.columns.of_groups(kept), folds.out)
     of_few = _rules(few.columns, rows, options, dependence[kept])
     kinds = {kind for c in rows.columns.owners for kind in c.effect.like_uncertain_friction}
@@ -200,18 +200,24 @@ def _lowers(
     return folds.deviations(gains, np.ones(len(gains)), joint)[0] > options.gain_deviations
 
 
-def _promising(paths: Paths, whole: Sequence[int], rules: Rules) -> NDArray[np.intp]:
+def _promising(paths: Paths, chosen: Sequence[Sequence[int]], rules: Rules) -> NDArray[np.intp]:
     """Return the groups that come near to their penalty beside some part of a path, and its own.
 
-    The others would not be chosen on nine tenths of the rows either.
+    The others would not be chosen on nine tenths of the rows either. What changes in the course of
+    a recording must be in one of the paths itself.
     """
-    states = [paths.state(-1)]
-    for group in whole:
-        states.append(states[-1].with_group(group))
-    states += [states[-1].without(group) for group in whole]
-    largest = np.max([state.gains(rules.usable)[0] for state in states], axis=0)
-    near = rules.usable & (largest > PROMISING * rules.penalty)
-    near[list(whole)] = True
+    largest = np.zeros(len(rules.usable))
+    for path in chosen:
+        states = [paths.state(-1)]
+        for group in path:
+            states.append(states[-1].with_group(group))
+        states += [states[-1].without(group) for group in path]
+        largest = np.max([largest, *(state.gains(rules.usable)[0] for state in states)], axis=0)
+    owner, own = paths.columns.owner, [g for path in chosen for g in path]
+    stays = np.array([c.course is None for c in paths.columns.owners], dtype=bool)
+    stays[owner[own]] = True
+    near = rules.usable & stays[owner] & (largest > PROMISING * rules.penalty)
+    near[own] = True
     return np.flatnonzero(near)
 
 
