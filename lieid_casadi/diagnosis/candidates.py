@@ -32,13 +32,19 @@ TIME_CONSTANTS = (0.05, 2.0)
 #: Least velocity scale in dead zones, in which the sign of the velocity is uncertain, and the
 #: largest relative to the top speed, beyond which a column is close to a polynomial.
 VELOCITY_SCALES = (3.0, 0.35)
+#: Least width of a hysteresis, in the distance that a joint passes in a sample at the speed of the
+#: dead zone: friction that builds up sooner changes its sign at another instant, and no more.
+LEAST_WIDTH = 6.0
+
+
+CourseKind = Literal["later", "wave"]
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
     """A change in the course of a recording: from an instant on (``later``), or a slow ``wave``."""
 
-    kind: Literal["later", "wave"]
+    kind: CourseKind
     #: (G,) to try: times of the recording, or periods, s
     at: Array
 
@@ -211,6 +217,9 @@ def shape_limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tup
         top = max(float(np.percentile(np.abs(s.dq[:, joint]), 99.0)) for s in segments)
         low = VELOCITY_SCALES[0] * max(float(s.dead_zone[joint]) for s in segments)
         high = VELOCITY_SCALES[1] * top
+    elif shape.resolved_by == "distance":
+        low = LEAST_WIDTH * max(float(s.dead_zone[joint]) / s.rate for s in segments)
+        high = shape.upper
     elif shape.resolved_by == "command_error":
         low, high = command_error_range(segments, joint)
     else:

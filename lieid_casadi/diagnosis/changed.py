@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import compare
-from lieid_casadi.diagnosis.evidence import Slot, solved
+from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations, solved, undetermined
 from lieid_casadi.diagnosis.folds import redundancy
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -26,14 +26,16 @@ from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import Round, search
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
-from lieid_casadi.diagnosis.step import Fall, Step, Unexplained
+from lieid_casadi.diagnosis.step import Fall, Step
 from lieid_casadi.diagnosis.steps import (
     Accepted,
     absorbed_and_weak,
     beside_smooth_functions,
+    difference_of,
     groups_of,
     share_of,
     signals_of,
+    unexplained_parts,
 )
 from lieid_casadi.errors import UnidentifiableWarning, unique_warnings
 from lieid_casadi.identification import Fit
@@ -69,21 +71,21 @@ def diagnose_changed(
         prior=prior_rows(fit.covariance),
         noise=noise,
     )
-    changes, rejected = _changes(found, raised, options.least_misfit * rises, options)
+    every, rejected = _changes(found, noise, raised, options.least_misfit * rises, options)
     report("describe the changes", 0.8)
-    after, beside = _misfit(rows, expected, _torques(found, changes)), _beside(found, changes)
-    steps = _steps(found, changes, first * expected, noise, options)
+    changes = [c for c in every if found.candidate(c.slot.group).of_arm]
+    differing = [difference_of(found, c.slot, of_model=True) for c in every if c not in changes]
+    after, beside = _misfit(rows, expected, _torques(found, every)), _beside(found, every)
+    steps = _steps(found, changes, first * expected, options)
     beyond = _by_joint(beside, beside.residual)
     ratio = np.where(np.isfinite(beyond), beyond, 0.0)
-    parts = tuple(
-        Unexplained(
-            int(j),
-            float(1.0 - ratio[j] ** -2),
-            float(ratio[j]),
-            followed_signals(rows, beside, j, expected),
-        )
-        for j in np.argsort(-ratio)
-        if ratio[j] > options.largest_change
+    parts = unexplained_parts(
+        ratio,
+        options.largest_change,
+        lambda j: followed_signals(rows, beside, j, expected),
+        differing,
+        rejected,
+        [""] * len(ratio),
     )
     uncertain = (after > options.largest_change) & (ratio <= options.largest_change)
     absorbed, weak = absorbed_and_weak(found)
@@ -95,7 +97,7 @@ def diagnose_changed(
         fit=fit,
         steps=steps,
         unexplained=parts,
-        differing=(),
+        differing=tuple(differing),
         rejected=tuple(rejected.items()),
         noise_floor=before.noise_floor,
         noise_source=before.noise_source,
@@ -107,7 +109,7 @@ def diagnose_changed(
             "rms_cv": None,
         },
         expected=expected,
-        tried=len(found.paths.columns.owners),
+        tried=sum(c.of_arm for c in found.paths.columns.owners),
         absorbed=absorbed,
         weak=weak,
         warnings=unique_warnings(
@@ -141,12 +143,21 @@ class _Change:
 
     slot: Slot
     values: Array
-    std: Array
+    covariance: Array
     joint: int
+
+    @property
+    def deviations(self) -> float:
+        """How far its coefficients are from zero, in standard deviations of the fit's noise."""
+        return coefficient_deviations(self.values, self.covariance)
 
 
 def _changes(
-    found: Round, raised: NDArray[np.bool_], most: Array, options: DiagnosisOptions
+    found: Round,
+    noise: Sequence[Noise],
+    raised: NDArray[np.bool_],
+    most: Array,
+    options: DiagnosisOptions,
 ) -> tuple[list[_Change], dict[str, str]]:
     """Return the changes that pass, and the reasons against the others.
 
@@ -157,20 +168,21 @@ def _changes(
     rejected: dict[str, str] = {}
     slots = list(found.slots)
     while True:
-        changes = _fitted(found, slots)
+        changes = _fitted(found, slots, noise)
         for change in reversed(changes):
-            reason = _reason(found, changes, change, raised, most, options)
+            reason = _reason(found, noise, changes, change, raised, most, options)
             if reason is not None:
                 rejected[found.candidate(change.slot.group).label] = reason
                 slots = [slot for slot in slots if slot is not change.slot]
                 break
         else:
             simplest = represented(found, slots)
-            return _fitted(found, simplest), rejected
+            return _fitted(found, simplest, noise), rejected
 
 
 def _reason(
     found: Round,
+    noise: Sequence[Noise],
     changes: Sequence[_Change],
     change: _Change,
     raised: NDArray[np.bool_],
@@ -184,16 +196,20 @@ def _reason(
     )
     if reason is not None:
         return reason
-    others = _fitted(found, [c.slot for c in changes if c is not change])
+    others = _fitted(found, [c.slot for c in changes if c is not change], noise)
     if not (_misfit(found.rows, found.spread, _torques(found, others)) > most).any():
         return "without it the error is as expected of the fit"
     fall = float(np.where(raised, _falls(found, changes, change), -np.inf).max(initial=-np.inf))
     if fall < options.worth_of_change:
         return f"the error of a raised joint falls by only {100 * fall:.1f} %"
-    return slot.reason(options) if slot.deviations < options.gain_deviations else None
+    if slot.deviations < options.gain_deviations:
+        return slot.reason(options)
+    part = len(changes) / sum(c.of_arm for c in found.paths.columns.owners)
+    uncertain = undetermined(slot.certainty, change.deviations, part, options)
+    return None if uncertain is None else uncertain[0]
 
 
-def _fitted(found: Round, slots: Sequence[Slot]) -> list[_Change]:
+def _fitted(found: Round, slots: Sequence[Slot], noise: Sequence[Noise]) -> list[_Change]:
     """Return changes with coefficients fitted together, within the fit's uncertainty."""
     if not slots:
         return []
@@ -201,13 +217,16 @@ def _fitted(found: Round, slots: Sequence[Slot]) -> list[_Change]:
     together = np.hstack(columns)
     gram = together.T @ together
     values = solved(gram, together.T @ found.paths.span.residual)
-    variance = np.diag(np.linalg.pinv(gram, hermitian=True))
-    ends = np.cumsum([c.shape[1] for c in columns])[:-1]
+    covariance = np.asarray(np.linalg.pinv(gram, hermitian=True), dtype=float)
+    places = np.split(np.arange(len(gram)), np.cumsum([c.shape[1] for c in columns])[:-1])
     return [
-        _Change(slot, own, np.sqrt(np.clip(var, 0.0, None)), slot.joint)
-        for slot, own, var in zip(
-            slots, np.split(values, ends), np.split(variance, ends), strict=True
+        _Change(
+            slot,
+            values[own],
+            redundancy(noise[slot.joint]) * covariance[np.ix_(own, own)],
+            slot.joint,
         )
+        for slot, own in zip(slots, places, strict=True)
     ]
 
 
@@ -254,11 +273,7 @@ def _beside(found: Round, changes: Sequence[_Change]) -> Span:
 
 
 def _steps(
-    found: Round,
-    changes: Sequence[_Change],
-    first: Array,
-    noise: Sequence[Noise],
-    options: DiagnosisOptions,
+    found: Round, changes: Sequence[_Change], first: Array, options: DiagnosisOptions
 ) -> tuple[Step, ...]:
     groups = [c.slot.group for c in changes]
     accepted = [Accepted.of(found, c.slot, groups, (), options) for c in changes]
@@ -271,7 +286,7 @@ def _steps(
         j = change.joint
         without = _misfit(found.rows, found.spread, torques[:k] + torques[k + 1 :]) * found.spread
         so_far = _misfit(found.rows, found.spread, torques[: k + 1]) * found.spread
-        values = _numbers(found, change, float(np.sqrt(redundancy(noise[j]))))
+        values = _numbers(found, change)
         alone = Model.of_placements(found.rows.fit.model.robot, (own.placement,))
         units = {p.name.rpartition(".")[2]: p.unit for p in (*alone.columns, *alone.shapes)}
         before, after = float(without[j]), float(complete[j])
@@ -290,7 +305,7 @@ def _steps(
                 fall=Fall(None, None, before - after),
                 share=share_of(before, after, float(size[j])),
                 confirmed=None,
-                evidence=own.evidence,
+                evidence=replace(own.evidence, coefficient_deviations=change.deviations),
                 doubt=own.doubt,
                 rivals=own.rivals,
                 group=numbers[k],
@@ -306,13 +321,15 @@ def _steps(
     return beside_smooth_functions(steps)
 
 
-def _numbers(found: Round, change: _Change, factor: float) -> dict[str, tuple[float, float]]:
+def _numbers(found: Round, change: _Change) -> dict[str, tuple[float, float]]:
     """Return value and standard deviation of each parameter of a change by name."""
     effect = found.candidate(change.slot.group).effect
     shapes = found.paths.columns.shapes(change.slot.group)[: len(effect.shapes)]
     values = {
-        c.name: (float(v), factor * float(s))
-        for c, v, s in zip(effect.coefficients, change.values, change.std, strict=True)
+        c.name: (float(v), float(np.sqrt(max(variance, 0.0))))
+        for c, v, variance in zip(
+            effect.coefficients, change.values, np.diag(change.covariance), strict=True
+        )
     }
     return values | {
         s.name: (float(v), float("nan")) for s, v in zip(effect.shapes, shapes, strict=True)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import fdtrc, ndtri
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate
@@ -26,6 +27,11 @@ from lieid_casadi.effects.smooth import Smooth
 Mask = NDArray[np.bool_]
 DEPENDENT = 1e-8  # of a largest eigenvalue
 SMALLEST = 1e-12  # part of an error below which it counts as zero
+SMALLEST_TAIL = 1e-300  # probability of a deviation: the inverse of the distribution is finite
+KNOWN = 1e9  # independent stretches of a noise that is given
+#: Expected part of false effects among all that are added, by gain and coefficients together.
+#: Statistics: Benjamini and Hochberg, J. Royal Statistical Society B 1995.
+FALSE_EFFECTS = 0.1
 OTHER_JOINTS = 2  # that have an effect, from which less evidence is enough on a further joint
 ALIKE = 0.5  # part of an effect's torque that a group must be able to replace to count as a rival
 
@@ -81,6 +87,39 @@ def evidence_needed(limit: float, elsewhere: int) -> float:
     Half of them are enough if it is on two other joints: drives of one arm resemble each other.
     """
     return 0.5 * limit if elsewhere >= OTHER_JOINTS else limit
+
+
+def coefficient_deviations(values: Array, covariance: Array, independent: float = KNOWN) -> float:
+    """Return how far coefficients (k,) together are from zero, in standard deviations.
+
+    Those are the standard deviations that noise exceeds as often (Wald's test). The noise is known
+    as well as ``independent`` stretches of recordings permit (F distribution).
+    """
+    square = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values) / len(values)
+    tail = float(fdtrc(len(values), max(independent, 1.0), max(square, 0.0)))
+    return float(-ndtri(0.5 * max(tail, SMALLEST_TAIL)))
+
+
+def undetermined(
+    gain: float, coefficients: float, part: float, options: DiagnosisOptions, elsewhere: int = 0
+) -> tuple[str, float] | None:
+    """Return why noise may be all of an effect beside all others, and its deviations; or None.
+
+    Those are the fewer of its gain's and its coefficients', or what their geometric mean is of that
+    needed, in units of a name's. Noise exceeds what is needed in as many candidates as the effects,
+    which are a ``part`` of these, may have false ones among them.
+    """
+    needed = options.gain_deviations, float(-ndtri(0.5 * FALSE_EFFECTS * part))
+    least, certain = (evidence_needed(limit, elsewhere) for limit in needed)
+    text = f"its coefficients are {coefficients:.1f} standard deviations from zero"
+    if coefficients < least:
+        return f"{text} (limit {least:g})", min(gain, coefficients)
+    both = float(np.sqrt(coefficients * max(gain, 0.0)))
+    if both < certain:
+        text = f"its gain is certain to {gain:.1f} standard errors and {text}"
+        missing = options.name_deviations * both / certain
+        return f"{text} (geometric mean, limit {certain:.1f})", min(gain, coefficients, missing)
+    return None
 
 
 def judge(

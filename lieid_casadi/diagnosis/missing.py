@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtri
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay
-from lieid_casadi.diagnosis.evidence import OTHER_JOINTS, Slot, evidence_needed
+from lieid_casadi.diagnosis.evidence import OTHER_JOINTS, Slot, undetermined
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.motion import UnseenMotion
@@ -32,6 +31,7 @@ from lieid_casadi.diagnosis.steps import (
     fitted_values,
     late_friction,
     other_forms,
+    over_floor,
     steps_of,
     unexplained_parts,
 )
@@ -54,9 +54,6 @@ Report = Callable[[str, float], None]
 #: Torque of an effect in that of its joint: a spring may carry several times what the drive does;
 #: more cancels that of other effects, and does so only at the speeds of the training data.
 LARGEST_TORQUE = 10.0
-#: Expected part of false effects among all that are added, to which either gain or coefficients
-#: are certain. Statistics: Benjamini and Hochberg, J. Royal Statistical Society B 1995.
-FALSE_EFFECTS = 0.1
 ROUNDS = 2  # of search and fit; the second one adds what the first fit hid
 
 
@@ -120,13 +117,14 @@ class MissingEffects:
         steps = tuple(replace(step, motion=self.gains.get(step.label)) for step in steps)
         spread = last_rows.spread()
         span = last_rows.span(spread)
+        ratio, where = over_floor(fitted, after)
         parts = unexplained_parts(
-            fitted,
-            after,
-            self.rejected,
+            ratio,
+            options.largest_error,
             lambda j: followed_signals(last_rows, span, j, spread),
-            options,
             self.differing,
+            self.rejected,
+            where,
         )
         shown = after or fitted
         verdict = "effect_found" if steps else "sufficient"
@@ -341,29 +339,14 @@ class MissingEffects:
     def _undetermined(
         self, found: Accepted, accepted: Sequence[Accepted], fit: Fit
     ) -> tuple[str, float] | None:
-        """Return why noise may be all of an effect beside all others, and its deviations; or None.
-
-        Those are the fewer of its gain's and its coefficients', or what the larger ones are of
-        those needed, in units of a name's. The larger ones exceed what noise exceeds in as many of
-        the library's candidates as the effects may have false ones among them (Benjamini and
-        Hochberg).
-        """
-        elsewhere = _elsewhere(found.candidate, [a.candidate for a in accepted])
-        false = FALSE_EFFECTS * len(accepted) / self.candidates
-        least, certain = (
-            evidence_needed(limit, elsewhere)
-            for limit in (self.options.gain_deviations, float(-ndtri(0.5 * false)))
+        """Return why noise may be all of an effect in a fit, and its deviations; or None."""
+        return undetermined(
+            found.evidence.gain_certainty,
+            found.coefficient_deviations(fit),
+            len(accepted) / self.candidates,
+            self.options,
+            _elsewhere(found.candidate, [a.candidate for a in accepted]),
         )
-        gain, coefficients = found.evidence.gain_certainty, found.coefficient_deviations(fit)
-        text = f"its coefficients are {coefficients:.1f} standard deviations from zero"
-        if coefficients < least:
-            return f"{text} (limit {least:g})", min(gain, coefficients)
-        most = max(coefficients, gain)
-        if most < certain:  # either may be known roughly only
-            both = f"its gain is certain to {gain:.1f} standard errors and {text}"
-            missing = self.options.name_deviations * most / certain
-            return f"{both} (one of them needs {certain:.1f})", min(gain, coefficients, missing)
-        return None
 
     def _moving(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
         """Return the fit with effects by which an arm under commands moves better.
@@ -445,9 +428,8 @@ class MissingEffects:
             candidate = found.candidate(slot.group)
             if candidate.of_arm or slot.reason(self.options) is not None:
                 continue
-            stated = difference_of(found, slot, of_model=candidate.placement.label in own)
-            if not any(stated.repeats(each) for each in self.differing):
-                self.differing.append(stated)
+            of_model = candidate.placement.label in own
+            self.differing.append(difference_of(found, slot, of_model=of_model))
             self.apart.append(found.rows.columns.dense(slot.group))
         return len(self.apart) > before
 

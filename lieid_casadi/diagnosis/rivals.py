@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature
 from lieid_casadi.diagnosis.evidence import ALIKE, Slot, part_of, solved
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.search import SMOOTH, Round
@@ -18,7 +18,6 @@ from lieid_casadi.diagnosis.step import Rival
 EXACT = 1e-6  # part of a torque by which exact rivals differ
 LEAST_GAIN = 0.5  # of an effect's gain in its place
 EXAMINED = 8  # candidates with the largest gains that can replace most of the effect's torque
-INSTANTS = 30  # at which a sudden change is tried
 BLOCK = 1.0  # s, at least, of blocks whose errors are compared
 
 
@@ -29,8 +28,9 @@ def rivals_of(
 
     The errors of the two models, both with the groups ``others``, are compared over blocks of time
     (Vuong, Econometrica 1989), each with the cost of its parameters. Candidates that stand in the
-    effect's place in a path without a held-out part are compared, too. ``deviations`` are the
-    standard errors by which the effect must be better.
+    effect's place in a path without a held-out part are compared, too; with friction that changes
+    with time, changes at one instant. ``deviations`` are the standard errors by which the effect
+    must be better.
     """
     paths, columns = found.paths, found.paths.columns
     state = paths.state(-1)
@@ -57,30 +57,6 @@ def rivals_of(
     return [(group, rival) for _, group, rival in sorted(rivals, key=lambda each: each[0])]
 
 
-def changes_at_once(found: Round, slot: Slot, others: Sequence[int], deviations: float) -> bool:
-    """Return whether friction that changes at one instant does as well as an effect.
-
-    The instant is one of all recordings, or one after the start of each, as of `warm_up`. A sudden
-    change is no effect of the library: it says nothing about other recordings.
-    """
-    rows, joint = found.rows, slot.joint
-    since_start = np.concatenate([s.filtered_time - s.filtered_time[0] for s in rows.segments])
-    friction = rows.friction_columns[joint] * rows.weights(found.spread)[joint][:, None]
-    beside, block = [found.paths.outside(g) for g in others], _blocks(found)
-    mine = _squares(found, [*beside, found.paths.outside(slot.group)], block)
-    parameters = friction.shape[1] + 1 - found.candidate(slot.group).parameters  # the instant
-    lines = [line[rows.runs[joint].all] for line in (rows.times, since_start)]
-    places = np.linspace(0.0, 1.0, INSTANTS + 2)[1:-1]
-    for later in (line >= x for line in lines for x in np.quantile(line, places)):
-        columns = np.zeros((len(block), friction.shape[1]))
-        columns[found.paths.span.joint(joint)] = friction * later[:, None]
-        theirs = _squares(found, [*beside, found.paths.span.outside(columns)], block)
-        worse, error = _difference(found, mine, theirs, parameters)
-        if worse <= deviations * error:
-            return True
-    return False
-
-
 def represented(found: Round, slots: Sequence[Slot]) -> list[Slot]:
     """Return slots with a simpler group in a place where it is as good: parameters count.
 
@@ -90,8 +66,8 @@ def represented(found: Round, slots: Sequence[Slot]) -> list[Slot]:
     simplest: list[Slot] = []
     for slot in slots:
         others = [g for g in groups if g != slot.group]
-        better = [g for g, _ in rivals_of(found, slot, others, 0.0) if cost[g] < cost[slot.group]]
-        best = better[0] if better else slot.group
+        near = [g for g, _ in rivals_of(found, slot, others, 0.0) if found.candidate(g).of_arm]
+        best = next((g for g in near if cost[g] < cost[slot.group]), slot.group)
         kept = [*others, *(each.group for each in simplest)]
         taken = found.candidate(best).label in {found.candidate(g).label for g in kept}
         if taken or best == slot.group:
@@ -114,7 +90,8 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
     examined, done = list[int](), set[int]()
     for group in map(int, (*slot.instead, *near[np.argsort(-gains[near])])):
         other, owner = columns.candidate(group), int(columns.owner[group])
-        if owner in done or not other.of_arm or _same_kind(mine, other):
+        sudden = other.course is not None and follows_temperature(mine.effect)
+        if owner in done or not (other.of_arm or sudden) or _same_kind(mine, other):
             continue
         estimate = values[columns.of_group(group)]
         if reason_against(other, columns.shapes(group), estimate, rows.segments) is not None:

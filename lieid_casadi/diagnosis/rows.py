@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison.noise_floor import FASTEST, WAVES
-from lieid_casadi.diagnosis.candidates import Candidate, Course, list_candidates
+from lieid_casadi.diagnosis.candidates import Candidate, Course, CourseKind, list_candidates
 from lieid_casadi.diagnosis.columns import (
     Columns,
     ColumnStore,
@@ -40,6 +40,7 @@ from lieid_casadi.recording import Processed
 Indices = NDArray[np.intp]
 
 REACH = 1.0  # periods of the cut-off frequency
+FEWEST = 5  # instants in a recording at which a change is tried
 EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, by default
 
 
@@ -188,33 +189,22 @@ class Rows:
         count = len(self.recording_names)
         return [self.part(k) for k in range(count if count > 1 else 0)]
 
-    def later_parts(self, count: int) -> list[RowPart]:
-        """Return what comes after instants in one recording, and in each of several.
+    def course_parts(self, kind: CourseKind, count: int) -> list[RowPart]:
+        """Return changes in the course of one recording, and of each of several.
 
-        ``count`` instants divide all of the time, and the longest recording.
+        ``count`` instants divide the time of one, or of all; of a wave they are periods.
         """
-        line = np.unique(np.concatenate([run.all for run in self.runs]))
-        if len(line) <= count:
-            return []
-        at = line[np.linspace(0, len(line), count + 2).astype(np.intp)[1:-1]]
-        own = self._recordings[at]
-        every: list[tuple[int | None, Array]] = [
-            (int(k), self.clock[at][own == k]) for k in np.unique(own)
-        ]
-        if len(self.recording_names) > 1:
-            ends = self.clock.min(), self.clock.max()
-            every.append((None, np.linspace(*ends, count + 2)[1:-1]))
-        return [self.part(k, Course("later", since)) for k, since in every]
-
-    def waves(self, count: int) -> list[RowPart]:
-        """Return slow waves in one recording, and in each of several, of ``count`` periods."""
         whole = range(len(self.recording_names))
         found = []
         for k in [None, *whole] if len(whole) > 1 else whole:
-            length = np.ptp(self.clock[self._recordings == k] if k is not None else self.clock)
-            if length * FASTEST > 1.0:  # less than a whole wave resembles a drift
-                frequencies = np.linspace(1.0, min(WAVES / 2.0, FASTEST * length), count) / length
-                found.append(self.part(k, Course("wave", 1.0 / frequencies)))
+            clock = self.clock if k is None else self.clock[self._recordings == k]
+            length, number = float(np.ptp(clock)), max(count // len(whole), FEWEST)
+            at = clock.min() + length * np.linspace(0.0, 1.0, number + 2)[1:-1]
+            if kind == "wave":
+                if length * FASTEST <= 1.0:  # less than a whole wave resembles a drift
+                    continue
+                at = length / np.linspace(1.0, min(WAVES / 2.0, FASTEST * length), count)
+            found.append(self.part(k, Course(kind, at)))
         return found
 
     def recording_name(self, k: int | None) -> str:
@@ -234,17 +224,6 @@ class Rows:
     def early_friction(self) -> tuple[Array, ...]:
         """The same of dry friction that is early, as that of MuJoCo is by default."""
         return self._shifted_friction(EARLY)
-
-    @cached_property
-    def friction_columns(self) -> tuple[Array, ...]:
-        """Columns (R_j, 2) of dry and viscous friction of each joint."""
-        parts = [
-            (s.filter(np.where(s.moving, expected_sign(s), 0.0)), s.filter(s.dq))
-            for s in self.segments
-        ]
-        dry, viscous = (np.concatenate(each) for each in zip(*parts, strict=True))
-        both = np.stack([dry, viscous], axis=2)
-        return tuple(both[run.all, j] for j, run in enumerate(self.runs))
 
     @cached_property
     def away_from_reversals(self) -> tuple[NDArray[np.bool_], ...]:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.diagnosis.candidates import Candidate, is_form
-from lieid_casadi.diagnosis.columns import Columns, RowPart
+from lieid_casadi.diagnosis.candidates import Candidate, Course, CourseKind, is_form
+from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.evidence import Slot, gains_of, judge, solved
 from lieid_casadi.diagnosis.folds import Folds, folds_of
 from lieid_casadi.diagnosis.gates import reason_against
@@ -40,10 +40,11 @@ UNCERTAIN_FRICTION = {
 }
 #: Effects of the model that may change in the course of a recording, at one of some instants or as
 #: waves with one of some periods. What viscous friction does so resembles dry friction.
-COURSES: tuple[tuple[tuple[str, ...], Callable[[Rows], list[RowPart]]], ...] = (
-    ((Coulomb.name, Offset.name), lambda rows: rows.later_parts(20)),
-    ((Offset.name,), lambda rows: rows.waves(9)),
+COURSES: tuple[tuple[tuple[str, ...], CourseKind, int], ...] = (
+    ((Coulomb.name, Offset.name), "later", 20),
+    ((Offset.name,), "wave", 9),
 )
+FINER = 19  # instants between the neighbours of one
 LEAST_CHANGE = 5.0  # size of a change with time in standard deviations, for a path
 #: Certainty of a change, in that of a name. Held-out parts are between others, so that slow noise
 #: of short recordings is predicted, too: waves in noise that is correlated over 1 s reach 5.8
@@ -110,8 +111,8 @@ def search(
         span = rows.span(scale, prior)
         known = {c.label: c for c in smooth_candidates(rows, span, rests, scale) if wanted(c)}
         rows = rows.with_candidates([*rows.columns.owners, *known.values()])
-    if prior is None:
-        rows = _with_changes(rows, in_course=with_smooth)
+    rows = _with_changes(rows, wanted, of_recordings=prior is None, in_course=with_smooth)
+    coarse = True
     while True:
         paths = Paths(*_weighted(rows, scale, prior), nothing)
         own_noise = noise
@@ -121,11 +122,14 @@ def search(
             own_noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
         dependence = _dependence(paths.columns, own_noise)
         folds, slots = _judged(paths, rows, scale, dependence, options, beside_friction)
-        uncertain = _uncertain_changes(rows.columns, slots, options)
-        if not uncertain:
+        finer = _finer_instants(rows, slots) if coarse else []
+        if finer:
+            rows, coarse = replace(rows, columns=rows.columns.joined(finer)), False
+            continue
+        certain = _without_uncertain_changes(rows.columns, slots, options)
+        if certain is None:
             return Round(rows, scale, folds, paths, slots)
-        certain = {int(rows.columns.owner[slot.group]) for slot in slots} - uncertain
-        rows = replace(rows, columns=_without_changes(rows.columns, certain))
+        rows = replace(rows, columns=certain)
 
 
 def _judged(
@@ -169,7 +173,7 @@ def _judged(
 
     slots, before = judged(whole, outside(()))
     first = {paths.columns.candidate(g).joint for g in other if rules.smooth[g]}
-    if set(other) == set(whole) or not first or _uncertain_changes(paths.columns, slots, options):
+    if set(other) == set(whole) or not first:
         return folds, slots
     so, after = judged(other, outside(first))
     plain, smooth = _supported(slots, options), _supported(so, options)
@@ -229,52 +233,65 @@ def _in_span(span: Span, changes: Sequence[Array], weights: Sequence[Array]) -> 
     return found
 
 
-def _with_changes(rows: Rows, *, in_course: bool) -> Rows:
-    """Return the rows with copies of candidates, and of the model's effects, in one recording only.
+def _with_changes(
+    rows: Rows, wanted: Callable[[Candidate], bool], *, of_recordings: bool, in_course: bool
+) -> Rows:
+    """Return the rows with copies of candidates, and of the model's effects, in parts of the time.
 
-    Some also act in a part of its time (`COURSES`), if wanted (``in_course``). They show what
-    differs between the recordings, or changes in the course of one, which is no effect of the arm.
+    They act in one recording only (``of_recordings``), or from an instant on and as waves
+    (`COURSES`, ``in_course``), and show what is no effect of the arm.
     """
-    own = [
-        Candidate(p, np.zeros((1, 0)))
-        for p in rows.fit.model.placements
-        if not isinstance(p.effect, ArmEffect) and not p.effect.shapes and rows.runs[p.joint].count
-    ]
-    columns, recordings = rows.columns, rows.recording_parts()
-    fixed = [
-        g
-        for g, k in enumerate(columns.owner)
-        if columns.point[g] == 0 and not columns.owners[k].effect.shapes
-    ]
+    every = (Candidate(p, np.zeros((1, 0))) for p in rows.fit.model.placements)
+    fixed = [c for c in every if not isinstance(c.effect, ArmEffect) and not c.effect.shapes]
+    own = [c for c in fixed if rows.runs[c.joint].count and wanted(c)]
+    columns, recordings = rows.columns, rows.recording_parts() if of_recordings else []
+    shaped = np.array([bool(c.effect.shapes) for c in columns.owners], dtype=bool)
+    plain = np.flatnonzero(~shaped[columns.owner] & (columns.point == 0))
     changes = [
-        columns.of_groups(np.array(fixed, dtype=np.intp)).only_in(recordings),
+        columns.of_groups(plain).only_in(recordings),
         rows.with_candidates(own).columns.only_in(recordings),
     ]
-    for names, parts in COURSES if in_course else ():
+    for names, kind, count in COURSES if in_course else ():
         changing = rows.with_candidates([c for c in own if c.name in names]).columns
-        changes.append(changing.only_in(parts(rows)))
+        changes.append(changing.only_in(rows.course_parts(kind, count)))
     return replace(rows, columns=columns.joined(changes))
 
 
-def _uncertain_changes(
-    columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions
-) -> set[int]:
-    """Return the owners among a path's effects that change with time, and not certainly."""
-    found = set()
-    for slot in slots:
-        course = columns.candidate(slot.group).course
-        needed = 0.0 if course is None else CERTAINTY[course.kind] * options.name_deviations
-        if course is not None and slot.certainty < needed:
-            found.add(int(columns.owner[slot.group]))
-    return found
+def _finer_instants(rows: Rows, slots: Sequence[Slot]) -> list[Columns]:
+    """Return the columns of a path's changes at instants around those that they have.
 
-
-def _without_changes(columns: Columns, kept: Collection[int]) -> Columns:
-    """Return the columns without changes in the course of a recording, except of some owners.
-
-    They compete with effects, whose place others would take where there is no such change.
+    A large change that is stated a moment early or late leaves an error that others imitate.
     """
-    stays = [k in kept or c.course is None for k, c in enumerate(columns.owners)]
+    finer = list[Columns]()
+    for slot in slots:
+        found, k = rows.columns.candidate(slot.group), int(rows.columns.point[slot.group])
+        if found.course is not None and found.course.kind == "later":
+            near = found.course.at[max(k - 1, 0) : k + 2]
+            at = np.linspace(near[0], near[-1], FINER)
+            part = rows.part(found.recording, Course("later", at))
+            alone = Candidate(found.placement, np.zeros((1, 0)))
+            finer.append(rows.with_candidates([alone]).columns.only_in([part]))
+    return finer
+
+
+def _without_uncertain_changes(
+    columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions
+) -> Columns | None:
+    """Return the columns without changes in the course of a recording that are not certain.
+
+    None if all of a path are. What is not in it leaves, too: changes compete with effects, whose
+    place others would take where there is no such change.
+    """
+    pairs = [(slot, columns.candidate(slot.group).course) for slot in slots]
+    changes = {int(columns.owner[slot.group]) for slot, course in pairs if course is not None}
+    certain = {
+        int(columns.owner[slot.group])
+        for slot, course in pairs
+        if course and slot.certainty >= CERTAINTY[course.kind] * options.name_deviations
+    }
+    if certain == changes:
+        return None
+    stays = [k in certain or c.course is None for k, c in enumerate(columns.owners)]
     return columns.of_groups(np.flatnonzero(np.array(stays)[columns.owner]))
 
 

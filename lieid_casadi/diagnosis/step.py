@@ -334,12 +334,6 @@ class Difference:
     fraction: float = 0.0
     depends_on: tuple[str, ...] = ()
 
-    def repeats(self, other: Difference) -> bool:
-        """Return whether this is a rest of another change, at a neighbouring instant or period."""
-        return (self.label, self.recording, self.depends_on) == (
-            other.label, other.recording, other.depends_on
-        )  # fmt: skip
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         return {

@@ -9,11 +9,11 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature, is_delay, is_form
-from lieid_casadi.diagnosis.evidence import Slot
+from lieid_casadi.diagnosis.candidates import Candidate, is_delay, is_form
+from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.rivals import changes_at_once, rivals_of
+from lieid_casadi.diagnosis.rivals import rivals_of
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round
 from lieid_casadi.diagnosis.smooth_functions import FIELDS, formula_of, named_column
@@ -69,7 +69,7 @@ class Accepted:
         candidate = found.candidate(slot.group)
         others = [g for g in groups if g != slot.group]
         near = rivals_of(found, slot, others, options.rival_deviations)
-        rivals = tuple(rival for _, rival in near)
+        rivals = tuple(rival for g, rival in near if found.candidate(g).of_arm)
         evidence = Evidence(
             tuple(map(float, slot.gains)),
             tuple(map(float, slot.expected)),
@@ -90,7 +90,7 @@ class Accepted:
             slot.joint,
             evidence,
             rivals,
-            _doubt(found, slot, others, options),
+            _doubt(candidate, slot, options, sudden=len(rivals) < len(near)),
             smooth,
         )
 
@@ -113,29 +113,25 @@ class Accepted:
         return self.candidate.placement
 
     def coefficient_deviations(self, fit: Fit) -> float:
-        """Return how far its coefficients together are from zero, in standard deviations."""
-        fitted = fit.model.base_columns
-        own = [k for k, p in enumerate(fitted) if p.belongs_to(self.placement)]
+        """Return how far its coefficients in a fit are from zero, or NaN where it has none."""
+        own = [k for k, p in enumerate(fit.model.base_columns) if p.belongs_to(self.placement)]
         covariance = fit.covariance[np.ix_(own, own)]
         if not own or not np.isfinite(covariance).all():
             return float("nan")
-        inverse = np.linalg.pinv(covariance, hermitian=True)
-        return float(
-            np.sqrt(max(float(fit.values[own] @ inverse @ fit.values[own]), 0.0) / len(own))
-        )
+        return coefficient_deviations(fit.values[own], covariance, self.evidence.independent)
 
 
-def _doubt(found: Round, slot: Slot, others: Sequence[int], options: DiagnosisOptions) -> Doubt:
-    """Return why the name of an effect is not certain, or an empty text."""
-    candidate = found.candidate(slot.group)
+def _doubt(candidate: Candidate, slot: Slot, options: DiagnosisOptions, *, sudden: bool) -> Doubt:
+    """Return why the name of an effect is not certain, or an empty text.
+
+    ``sudden`` states whether a change at one instant would do as well.
+    """
     # without a part of the data something else was in its place, or nothing
     if slot.selected < 1.0:
         return "selected"
     if slot.certainty < options.name_deviations:
         return "gain"
-    if follows_temperature(candidate.effect) and changes_at_once(
-        found, slot, others, options.rival_deviations
-    ):
+    if sudden:
         return "instant"
     # signals of drives are late; friction at reversals of another form looks early on one joint
     if is_delay(candidate.effect) and candidate.joints and slot.values[0] < 0.0:
@@ -309,41 +305,45 @@ def difference_of(found: Round, slot: Slot, *, of_model: bool) -> Difference:
     )
 
 
-def unexplained_parts(
-    fitted: Comparison,
-    tested: Comparison | None,
-    rejected: Mapping[str, str],
-    follows: Callable[[int], tuple[str, ...]],
-    options: DiagnosisOptions,
-    differing: Sequence[Difference],
-) -> tuple[Unexplained, ...]:
-    """Return the joints whose error in motion is above the noise floor, or changes with time.
+def over_floor(fitted: Comparison, tested: Comparison | None) -> tuple[Array, list[str]]:
+    """Return each joint's error in motion over the noise floor (n,), the larger one, and where.
 
-    ``fitted`` and ``tested`` compare the final fit with training recordings and test, ``rejected``
-    has candidates that were selected and not added, and why, ``follows`` gives the signals that the
-    residual of a joint follows, and ``differing`` are changes of effects of the model.
+    ``fitted`` and ``tested`` compare a fit with training recordings and test.
     """
-    ratio = _over_floor(fitted.rms_moving, fitted.noise_floor)
-    where = [""] * len(ratio)
-    if tested is not None:
-        unseen = _over_floor(tested.rms_moving, tested.noise_floor)
-        where = [
-            "test" if u > r else "training recordings" for u, r in zip(unseen, ratio, strict=True)
-        ]
-        ratio = np.maximum(ratio, unseen)
+    ratios = []
+    for each in (fitted, tested or fitted):
+        known = np.isfinite(each.rms_moving) & (np.nan_to_num(each.noise_floor) > 0.0)
+        ratios.append(
+            np.where(known, each.rms_moving / np.where(known, each.noise_floor, 1.0), 0.0)
+        )
+    trained, unseen = ratios
+    names = "training recordings", "test"
+    where = [names[int(u > t)] if tested else "" for t, u in zip(trained, unseen, strict=True)]
+    return np.maximum(trained, unseen), where
+
+
+def unexplained_parts(
+    ratio: Array,
+    limit: float,
+    follows: Callable[[int], tuple[str, ...]],
+    differing: Sequence[Difference],
+    rejected: Mapping[str, str],
+    where: Sequence[str],
+) -> tuple[Unexplained, ...]:
+    """Return the joints whose error in motion is above a limit, or changes with time.
+
+    ``ratio`` (n,) is the error relative to the noise, ``follows`` gives the signals that the
+    residual of a joint follows, ``differing`` are changes of effects of the model, ``rejected`` has
+    candidates that were selected and not added, and why, and ``where`` the recordings by joint.
+    """
     changing = {each.joints[0]: each for each in differing if each.depends_on}
-    large = [int(j) for j in np.argsort(-ratio) if ratio[j] > options.largest_error]
+    large = [int(j) for j in np.argsort(-ratio) if ratio[j] > limit]
     found = []
     for j in dict.fromkeys([*changing, *large]):
         own = tuple((k, why) for k, why in rejected.items() if _acts_on(k, j))
         fraction = float(1.0 - ratio[j] ** -2) if j in large else changing[j].fraction
         signals = changing[j].depends_on if j in changing else follows(j)
-        found.append(
-            Unexplained(
-                j, fraction, float(ratio[j]), signals, own,
-                recordings=where[j], beyond_noise=j in large,
-            )
-        )  # fmt: skip
+        found.append(Unexplained(j, fraction, float(ratio[j]), signals, own, where[j], j in large))
     return tuple(found)
 
 
@@ -392,11 +392,6 @@ def late_friction(found: Round, worth: float) -> list[LateFrictionWarning]:
             "torque away from reversals distinguish the two"
         )
     ]
-
-
-def _over_floor(error: Array, floor: Array) -> Array:
-    known = np.isfinite(error) & np.isfinite(floor) & (floor > 0.0)
-    return np.where(known, error / np.where(known, floor, 1.0), 0.0)
 
 
 def _acts_on(label: str, joint: int) -> bool:

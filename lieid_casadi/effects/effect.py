@@ -157,8 +157,8 @@ class Shape:
     resolved_by : str
         What narrows the range that a recording can resolve: ``"duration"`` (a time constant, by
         the length of the segments), ``"speed"`` (a velocity, by the joint's dead zone and top
-        speed), ``"command_error"`` (an error of position control, to the upper part of the
-        joint's errors), or empty (the bounds alone).
+        speed), ``"distance"`` (a width, by the dead zone), ``"command_error"`` (an error of
+        position control, to the upper part of the joint's errors), or empty (the bounds alone).
     data : DataRange, optional
         What it is in the training recordings; such a parameter is not fitted.
     """
@@ -170,7 +170,7 @@ class Shape:
     upper: float
     scan: float | None = None
     meaning: str = ""
-    resolved_by: Literal["", "duration", "speed", "command_error"] = ""
+    resolved_by: Literal["", "duration", "speed", "distance", "command_error"] = ""
     data: DataRange | None = None
 
 

@@ -63,7 +63,8 @@ class Presliding(Effect):
         self.coefficients = (
             Coefficient("f_c", "N·m", lower=0.0, meaning="dry friction in sliding"),
         )
-        self.shapes = (Shape("w", "rad", 0.01, 1e-4, 0.5, meaning="width of the hysteresis"),)
+        width = "width of the hysteresis"
+        self.shapes = (Shape("w", "rad", 0.01, 1e-4, 0.5, meaning=width, resolved_by="distance"),)
         self.signals = ("q", "dq", "time")
         self.counted_as = ("coulomb", "load_friction") if option == "load" else ("coulomb",)
         if option in ("load", "square"):

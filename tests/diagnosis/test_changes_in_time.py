@@ -37,8 +37,8 @@ def test_friction_that_changes_at_an_instant_is_stated_and_no_effect_takes_its_p
     assert diagnosis.verdict == "unexplained"
     (found,) = diagnosis.differing
     assert (found.label, found.recording, found.of_model) == ("coulomb:2", "a.csv", True)
-    assert found.since == pytest.approx(INSTANT, abs=0.5)
-    assert found.parameters["f_c"] == pytest.approx(size, rel=0.2)
+    assert found.since == pytest.approx(INSTANT, abs=0.1)
+    assert found.parameters["f_c"] == pytest.approx(size, rel=0.1)
     (part,) = diagnosis.unexplained
     assert (part.joint, part.depends_on) == (1, ("t", "dq2"))
     written = diagnosis.to_dict()
@@ -52,7 +52,19 @@ def test_friction_that_changes_in_each_recording_is_one_change():
     train = [measured(more_friction(0.3), seed=k, name=f"{k}.csv") for k in (1, 2)]
     (found,) = lieid.diagnose(MODEL, train).differing
     assert (found.label, found.recording) == ("coulomb:2", "each recording")
-    assert found.since == pytest.approx(INSTANT, abs=0.5)
+    assert found.since == pytest.approx(INSTANT, abs=0.1)
+
+
+def test_friction_that_changes_after_a_fit_is_a_change_of_that_recording_from_an_instant_on():
+    fit = lieid.identify(MODEL, measured(seed=2, name="before.csv"))
+    diagnosis = lieid.diagnose(fit, measured(more_friction(0.6), seed=3))
+    assert not diagnosis.steps
+    assert diagnosis.verdict == "unexplained"
+    (found,) = diagnosis.differing
+    assert (found.label, found.recording, found.of_model) == ("coulomb:2", "a.csv", True)
+    assert found.since == pytest.approx(INSTANT, abs=0.1)
+    assert found.parameters["f_c"] == pytest.approx(0.6, rel=0.05)
+    assert [(part.joint, part.depends_on) for part in diagnosis.unexplained] == [(1, ("t", "dq2"))]
 
 
 def test_a_torque_that_oscillates_with_time_is_stated_with_period_and_size():

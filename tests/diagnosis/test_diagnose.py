@@ -15,14 +15,16 @@ from hypothesis import strategies as st
 from plant.recordings import recorded
 from robot.random_arms import random_arm
 from scipy.stats import false_discovery_control, norm
+from scipy.stats import t as student
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import DiagnosisOptions, missing, search, smooth_functions
+from lieid_casadi.diagnosis import DiagnosisOptions, evidence, search, smooth_functions
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.findings import finding
 from lieid_casadi.diagnosis.folds import folds_of
+from lieid_casadi.diagnosis.gates import unresolved_shape
 from lieid_casadi.diagnosis.missing import MissingEffects
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
@@ -190,18 +192,17 @@ def test_a_torque_that_is_no_effect_is_a_smooth_function_of_its_signals():
 @given(strong=st.lists(st.floats(2.0, 6.0), max_size=8), candidates=st.integers(10, 300))
 @example(strong=[3.2], candidates=300)  # both kinds of evidence suffice for a name, neither here
 def test_effects_that_remain_have_the_stated_part_of_false_ones(strong, candidates):
-    """The larger of gain and coefficients counts, as in SciPy's procedure of Benjamini-Hochberg."""
+    """Gain and coefficients count by their geometric mean, in Benjamini-Hochberg's procedure."""
     placements = [Placement(make("stribeck"), k % 2) for k in range(len(strong))]
     left = [
         SimpleNamespace(
             candidate=Candidate(placement, np.zeros((1, 0))),
-            evidence=SimpleNamespace(gain_certainty=max(2.0, 0.97 * value) if k % 2 else value),
-            coefficient_deviations=lambda fit, value=value, k=k: (
-                value if k % 2 else max(2.0, 0.97 * value)
-            ),
+            evidence=SimpleNamespace(gain_certainty=value**2 / coefficients),
+            coefficient_deviations=lambda fit, coefficients=coefficients: coefficients,
             value=value,
         )
         for k, (placement, value) in enumerate(zip(placements, strong, strict=True))
+        for coefficients in [max(2.0, 0.8 * value) if k % 2 else 1.2 * value]
     ]
     search = SimpleNamespace(options=DiagnosisOptions(), candidates=candidates)
     while out := [a for a in left if MissingEffects._undetermined(search, a, left, None)]:
@@ -214,28 +215,61 @@ def test_effects_that_remain_have_the_stated_part_of_false_ones(strong, candidat
     assert [a.value for a in left] == expected
 
 
-def test_an_effect_needs_one_certain_evidence_and_its_name_both(monkeypatch):
+def test_noise_exceeds_deviations_of_coefficients_as_often_as_a_normal_number():
+    """Of three coefficients, whose covariance is known by ten independent stretches."""
+    random = np.random.default_rng(3)
+    root = random.normal(size=(3, 3))
+    covariance, stretches, draws = root @ root.T, 10, 20_000
+    values = random.normal(size=(draws, 3)) @ root.T
+    known = random.chisquare(stretches, draws) / stretches
+    found = [
+        evidence.coefficient_deviations(v, k * covariance, stretches)
+        for v, k in zip(values, known, strict=True)
+    ]
+    for limit in (1.0, 2.0, 3.0):
+        expected = 2.0 * norm.sf(limit)
+        error = np.sqrt(expected / draws)
+        assert np.mean(np.array(found) > limit) == pytest.approx(expected, abs=4.0 * error)
+    assert evidence.coefficient_deviations(np.array([3.0]), np.eye(1)) == pytest.approx(3.0)
+
+
+def test_a_hysteresis_narrower_than_a_sample_at_rest_resolves_is_refused():
+    """Dry friction that builds up sooner reverses at another instant, as late friction does."""
+    recording = two_runs(LOAD_FRICTION)[0]
+    segments = process([recording], lieid.identify(MODEL, recording).processing)
+    candidate = Candidate(Placement(make("presliding"), 0), np.zeros((1, 1)))
+    sample = max(s.dead_zone[0] / s.rate for s in segments)  # rad, at the speed of the dead zone
+    assert 2.9 * sample > 1.03e-4  # the least width of the effect itself
+    for samples, resolved in ((2.9, False), (3.1, True)):
+        reason = unresolved_shape(
+            candidate, np.array([samples * sample]), np.array([1.0]), segments
+        )
+        assert (reason is None) == resolved
+
+
+def test_an_effect_needs_evidence_together_and_its_name_each(monkeypatch):
     train = two_runs(("stribeck", 0, 1.0))[0]
     (step,) = lieid.diagnose(MODEL, train).steps
     ratio = step.parameters["f_s-f_c"] / step.std["f_s-f_c"]
     assert step.status == "named"
-    assert step.evidence.coefficient_deviations == pytest.approx(ratio, rel=1e-9)
+    tail = student.sf(ratio, step.evidence.independent)  # of one coefficient
+    assert step.evidence.coefficient_deviations == pytest.approx(norm.isf(tail), rel=1e-9)
     monkeypatch.setattr(Accepted, "coefficient_deviations", lambda self, fit: 2.75)
     assert step.evidence.gain_certainty > 3.0
     doubtful = lieid.diagnose(MODEL, train)
     assert [(s.label, s.status, s.rivals) for s in doubtful.steps] == [(step.label, "one_of", ())]
     assert "it is only 2.8 standard deviations from zero" in doubtful.sentences[0]
     assert doubtful.to_dict()["steps"][0]["evidence"]["coefficient_deviations"] == 2.75
-    for limit, false_effects, known in (
-        ("limit 2.9", 0.1, 2.75),
-        ("one of them needs inf", 0.0, 0.0),
+    text = "its coefficients are 2.8 standard deviations from zero"
+    for least, false_effects, expected, known in (
+        (2.9, 0.1, f"{text} (limit 2.9)", 2.75),
+        (2.0, 0.0, f"standard errors and {text} (geometric mean, limit inf)", 0.0),
     ):
-        monkeypatch.setattr(missing, "FALSE_EFFECTS", false_effects)
-        options = DiagnosisOptions(gain_deviations=2.9 if false_effects else 2.0)
+        monkeypatch.setattr(evidence, "FALSE_EFFECTS", false_effects)
+        options = DiagnosisOptions(gain_deviations=least)
         without = lieid.diagnose(MODEL, train, options=options)
         assert without.steps == ()
-        reason = f"its coefficients are 2.8 standard deviations from zero ({limit})"
-        assert dict(without.rejected)[step.label].endswith(reason)
+        assert dict(without.rejected)[step.label].endswith(expected)
         assert dict(without.undecided)[step.label] == known  # more data would decide
 
 
