@@ -48,11 +48,6 @@ class Course:
     #: (G,) to try: times of the recording, or periods, s
     at: Array
 
-    @property
-    def columns(self) -> int:
-        """Number of columns in place of each one of an effect: cosine and sine of a wave."""
-        return 1 if self.kind == "later" else 2
-
     def factors(self, time: Array) -> Array:
         """Return what each column is multiplied by (R, G, f) at times (R,) of the recording."""
         if self.kind == "later":
@@ -139,7 +134,7 @@ class Candidate:
         """Number of parameters that it adds to a model; recording and course are one each, too."""
         fitted = [shape for shape in self.effect.shapes if shape.data is None]
         chosen = (self.recording is not None) + (self.course is not None)
-        each = 1 if self.course is None else self.course.columns
+        each = 1 + (self.course is not None and self.course.kind == "wave")  # cosine and sine
         return each * len(self.effect.coefficients) + len(fitted) + chosen
 
 

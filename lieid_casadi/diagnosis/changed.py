@@ -12,9 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import compare
 from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations, solved, undetermined
 from lieid_casadi.diagnosis.folds import redundancy
@@ -153,11 +152,7 @@ class _Change:
 
 
 def _changes(
-    found: Round,
-    noise: Sequence[Noise],
-    raised: NDArray[np.bool_],
-    most: Array,
-    options: DiagnosisOptions,
+    found: Round, noise: Sequence[Noise], raised: Mask, most: Array, options: DiagnosisOptions
 ) -> tuple[list[_Change], dict[str, str]]:
     """Return the changes that pass, and the reasons against the others.
 
@@ -185,7 +180,7 @@ def _reason(
     noise: Sequence[Noise],
     changes: Sequence[_Change],
     change: _Change,
-    raised: NDArray[np.bool_],
+    raised: Mask,
     most: Array,
     options: DiagnosisOptions,
 ) -> str | None:
@@ -336,9 +331,7 @@ def _numbers(found: Round, change: _Change) -> dict[str, tuple[float, float]]:
     }
 
 
-def _warnings(
-    after: Array, expected: Array, uncertain: NDArray[np.bool_]
-) -> list[UnidentifiableWarning]:
+def _warnings(after: Array, expected: Array, uncertain: Mask) -> list[UnidentifiableWarning]:
     """Return a warning of each joint (n,) whose large error uncertain parameters explain."""
     return [
         UnidentifiableWarning(

@@ -116,13 +116,14 @@ def _sizes(steps: Sequence[Step]) -> list[str]:
             continue
         values = [factor * step.parameters[name] for step in steps]
         deviations = [factor * step.std[name] for step in steps]
-        shown = [
-            f"{value_text(value, std)} ± {std_text(std)}".replace("-", "−")
-            for value, std in zip(values, deviations, strict=True)
-        ]
+        shown = [_with_std(value, std) for value, std in zip(values, deviations, strict=True)]
         value = f"{_listed(shown, values)} {unit}".rstrip()
         texts.append(value if len(first.units) == 1 else f"{name} = {value}")
     return texts
+
+
+def _with_std(value: float, std: float) -> str:
+    return f"{value_text(value, std)} ± {std_text(std)}".replace("-", "−")
 
 
 def _rivals(steps: Sequence[Step]) -> str:
@@ -178,10 +179,10 @@ def _motion(steps: Sequence[Step]) -> str:
 
 def difference_sentence(each: Difference) -> str:
     """Return what is not the same in all training recordings, or in all of one."""
-    values = []
+    values, differs = [], " =" if each.period is not None else " differs by"
     for name, value in each.parameters.items():
-        unit = each.units.get(name, "")
-        values.append(f"{name} = {number(value)} {'' if unit == '1' else unit}".strip())
+        unit, std = each.units.get(name, "").removeprefix("1"), each.std[name]
+        values.append(f"{name}{differs} {_with_std(value, std)} {unit}".strip())
     where, text = location(each.joints), join_words(values)
     if each.period is not None:
         return (
@@ -191,12 +192,12 @@ def difference_sentence(each: Difference) -> str:
     if each.since is not None:
         return (
             f"Something changed during {each.recording}: from {number(each.since)} s on, "
-            f"{each.effect} on {where} is not the same ({text} more). No model of the arm has that."
+            f"{each.effect} on {where} is not the same ({text}). No model of the arm has that."
         )
     what = "is not the same in all" if each.of_model else "is not found in all"
     return (
         f"The training recordings differ from each other: in {each.recording}, {each.effect} "
-        f"on {where} ({text} more) {what}, so it is no effect of the arm."
+        f"on {where} ({text}) {what}, so it is no effect of the arm."
     )
 
 

@@ -207,10 +207,6 @@ class Rows:
             found.append(self.part(k, Course(kind, at)))
         return found
 
-    def recording_name(self, k: int | None) -> str:
-        """Return the name of a recording; None stands for each of them."""
-        return "each recording" if k is None else self.recording_names[k]
-
     @cached_property
     def late_friction(self) -> tuple[Array, ...]:
         """Change of each joint's torque (R_j,) if its dry friction is late, by the delay, N·m/s.

@@ -75,8 +75,8 @@ class Evidence:
         Stretches of the recordings as long as the correlation of the residual: with few of them
         the standard error is uncertain.
     coefficient_deviations : float
-        How far its coefficients together are from zero, in standard deviations of the final fit
-        (Wald's test); NaN where that has none, and of changes.
+        How far its coefficients in the final fit together are from zero: the standard deviations
+        that noise exceeds as often (Wald's test); NaN where it has none.
     """
 
     gains: tuple[float, ...]
@@ -327,6 +327,7 @@ class Difference:
     joints: tuple[int, ...]
     recording: str
     parameters: dict[str, float]
+    std: dict[str, float]
     units: dict[str, str]
     of_model: bool
     since: float | None = None
@@ -344,6 +345,7 @@ class Difference:
             "from": self.since,
             "period": self.period,
             "parameters": self.parameters,
+            "std": self.std,
             "is_change": self.of_model,
         }
 

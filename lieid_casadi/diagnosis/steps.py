@@ -277,8 +277,16 @@ def signals_of(placement: Placement) -> tuple[str, ...]:
 
 
 def difference_of(found: Round, slot: Slot, *, of_model: bool) -> Difference:
-    """Return an effect that acts in one recording only, or changes in the course of one."""
-    candidate, values = found.candidate(slot.group), slot.values
+    """Return an effect that acts in one recording only, or changes in the course of one.
+
+    Its standard deviations are those of a least-squares fit of the whole path.
+    """
+    candidate, values, j = found.candidate(slot.group), slot.values, slot.joint
+    others = (s.group for s in found.slots if s is not slot)
+    together = np.hstack(found.paths.all_outside([slot.group, *others]))
+    variances = np.diag(np.linalg.pinv(together.T @ together, hermitian=True))[: len(values)]
+    lasting = found.rows.runs[j].count / max(int(found.folds.independent[j]), 1)  # rows
+    std = np.sqrt(lasting * np.maximum(variances, 0.0))
     since = period = None
     signals: tuple[str, ...] = ()
     if candidate.course is not None:
@@ -288,19 +296,20 @@ def difference_of(found: Round, slot: Slot, *, of_model: bool) -> Difference:
         own = [letters[s] for s in candidate.effect.signals if s in letters]
         signals = ("t", *dict.fromkeys(named_column(s, candidate.joint) for s in own))
         if period is not None:
-            values = np.hypot(*np.split(values, 2))  # cosine and sine
-    names = [c.name for c in candidate.effect.coefficients]
+            values, std = (np.hypot(*np.split(x, 2)) for x in (values, std / np.sqrt(2.0)))
+    names, part = [c.name for c in candidate.effect.coefficients], candidate.recording
     return Difference(
         candidate.placement.label,
         candidate.name,
         candidate.joints,
-        found.rows.recording_name(candidate.recording),
+        "each recording" if part is None else found.rows.recording_names[part],
         dict(zip(names, map(float, values), strict=True)),
+        dict(zip(names, map(float, std), strict=True)),
         {c.name: c.unit for c in candidate.effect.coefficients},
         of_model,
         since,
         period,
-        1.0 - float(slot.after[slot.joint] / slot.before[slot.joint]),
+        1.0 - float(slot.after[j] / slot.before[j]),
         signals,
     )
 

@@ -6,6 +6,7 @@ from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.tables import std_text, value_text
 
 ROBOT = lieid.robots.two_link()
 MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
@@ -46,6 +47,10 @@ def test_friction_that_changes_at_an_instant_is_stated_and_no_effect_takes_its_p
     assert (stated["from"], stated["period"]) == (found.since, None)
     assert written["unexplained"][0]["depends_on"] == ["t", "dq2"]
     assert "Something changed during a.csv" in diagnosis.sentence
+    value, std = found.parameters["f_c"], found.std["f_c"]
+    assert abs(value - size) < 4.0 * std
+    shown = f"f_c differs by {value_text(value, std)} ± {std_text(std)} N·m".replace("-", "−")
+    assert shown in diagnosis.sentence
 
 
 def test_friction_that_changes_in_each_recording_is_one_change():

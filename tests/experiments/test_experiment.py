@@ -181,7 +181,9 @@ def test_purposes(ambiguous):
     alone = replace(ambiguous, steps=(replace(step, rivals=()),))  # not found in all parts
     assert [p.kind for p in purposes(alone, [excitation])] == ["evidence"]
     assert remaining(alone) == [f"{step.label}: its name is not certain."]
-    apart = Difference("offset:1", "offset", (0,), "b", {"f_b": 1.0}, {"f_b": "N·m"}, True)
+    apart = Difference(
+        "offset:1", "offset", (0,), "b", {"f_b": 1.0}, {"f_b": 0.1}, {"f_b": "N·m"}, True
+    )
     assert len(remaining(replace(ambiguous, steps=(), differing=(apart,)))) == 1
     shape = replace(step, label="smooth/dq:1", status="shape", depends_on=("dq1",), rivals=())
     unknown = replace(ambiguous, steps=(shape,))
