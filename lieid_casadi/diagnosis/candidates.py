@@ -68,6 +68,8 @@ class Candidate:
     recording: int | None = None
     #: how it acts in the course of a recording; None for an effect that does not change
     course: Course | None = None
+    #: independent values of a scanned shape parameter, of which its grid has the best
+    scanned: float = 1.0
 
     def refined(self, points: Sequence[int], positions: Sequence[float]) -> Candidate:
         """Return the candidate with further grid points around the points of some indices.
@@ -150,14 +152,15 @@ def joints_of(placement: Placement) -> tuple[int, ...]:
 def list_candidates(
     model: Model,
     segments: Sequence[Processed],
-    scan: Callable[[Effect, int], Array],
+    scan: Callable[[Effect, int], tuple[Array, float]],
     *,
     model_fixed: bool = False,
 ) -> tuple[Candidate, ...]:
     """Return the candidates for which the recordings have motion and signals.
 
-    ``scan`` gives the grid (G, 1) of a shape parameter that is scanned, of an effect and a joint.
-    If the model is fixed, effects of the model are candidates too, as changes.
+    ``scan`` gives the grid (G, 1) of a shape parameter that is scanned, of an effect and a joint,
+    and of how many values it is a choice. If the model is fixed, effects of the model are
+    candidates too, as changes.
     """
     commanded = follows_commands(model.robot, segments)
     have = set() if model_fixed else {p.label for p in model.placements}
@@ -177,9 +180,9 @@ def list_candidates(
             if placement.label in have or not moves[list(joints_of(placement))].all():
                 continue
             j = placement.joint
-            grid = scan(effect, j) if scanned else shape_grid(effect, segments, j)
+            grid, of = scan(effect, j) if scanned else (shape_grid(effect, segments, j), 1.0)
             if len(grid):
-                found.append(Candidate(placement, grid))
+                found.append(Candidate(placement, grid, scanned=of))
     return tuple(found)
 
 

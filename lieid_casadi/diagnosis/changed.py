@@ -15,6 +15,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import compare
+from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations, solved, undetermined
 from lieid_casadi.diagnosis.folds import redundancy
 from lieid_casadi.diagnosis.gates import reason_against
@@ -72,7 +73,7 @@ def diagnose_changed(
     )
     every, rejected = _changes(found, noise, raised, options.least_misfit * rises, options)
     report("describe the changes", 0.8)
-    changes = [c for c in every if found.candidate(c.slot.group).of_arm]
+    changes = [c for c in every if c.candidate.of_arm]
     differing = [difference_of(found, c.slot, of_model=True) for c in every if c not in changes]
     after, beside = _misfit(rows, expected, _torques(found, every)), _beside(found, every)
     steps = _steps(found, changes, first * expected, options)
@@ -91,8 +92,6 @@ def diagnose_changed(
     report("done", 1.0)
     return Diagnosis(
         mode="changed",
-        verdict="unexplained" if parts else "effect_found" if steps else "sufficient",
-        joint_names=before.joint_names,
         fit=fit,
         steps=steps,
         unexplained=parts,
@@ -138,17 +137,17 @@ def held_out_noise(fit: Fit) -> tuple[Noise, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Change:
-    """An accepted change: its coefficients beside the others, and the joint where it counts."""
+    """An accepted change, with its coefficients beside the others."""
 
     slot: Slot
+    candidate: Candidate
     values: Array
     covariance: Array
-    joint: int
 
     @property
     def deviations(self) -> float:
         """How far its coefficients are from zero, in standard deviations of the fit's noise."""
-        return coefficient_deviations(self.values, self.covariance)
+        return coefficient_deviations(self.values, self.covariance, tried=self.candidate.scanned)
 
 
 def _changes(
@@ -167,7 +166,7 @@ def _changes(
         for change in reversed(changes):
             reason = _reason(found, noise, changes, change, raised, most, options)
             if reason is not None:
-                rejected[found.candidate(change.slot.group).label] = reason
+                rejected[change.candidate.label] = reason
                 slots = [slot for slot in slots if slot is not change.slot]
                 break
         else:
@@ -185,7 +184,7 @@ def _reason(
     options: DiagnosisOptions,
 ) -> str | None:
     """Return why a change is left out, or None."""
-    candidate, slot = found.candidate(change.slot.group), change.slot
+    candidate, slot = change.candidate, change.slot
     reason = reason_against(
         candidate, found.paths.columns.shapes(slot.group), change.values, found.rows.segments
     )
@@ -217,9 +216,9 @@ def _fitted(found: Round, slots: Sequence[Slot], noise: Sequence[Noise]) -> list
     return [
         _Change(
             slot,
+            found.candidate(slot.group),
             values[own],
             redundancy(noise[slot.joint]) * covariance[np.ix_(own, own)],
-            slot.joint,
         )
         for slot, own in zip(slots, places, strict=True)
     ]
@@ -270,20 +269,18 @@ def _beside(found: Round, changes: Sequence[_Change]) -> Span:
 def _steps(
     found: Round, changes: Sequence[_Change], first: Array, options: DiagnosisOptions
 ) -> tuple[Step, ...]:
-    groups = [c.slot.group for c in changes]
-    accepted = [Accepted.of(found, c.slot, groups, (), options) for c in changes]
+    slots = [c.slot.group for c in changes]
+    accepted = [Accepted.of(found, c.slot, slots, (), options) for c in changes]
     torques = _torques(found, changes)
     complete = _misfit(found.rows, found.spread, torques) * found.spread
-    numbers = groups_of(accepted)
+    groups = groups_of(accepted)
     size = np.array([np.sqrt(np.mean(t**2)) if len(t) else np.nan for t in found.rows.torque])
     steps = []
     for k, (change, own) in enumerate(zip(changes, accepted, strict=True)):
-        j = change.joint
+        j = own.joint
         without = _misfit(found.rows, found.spread, torques[:k] + torques[k + 1 :]) * found.spread
         so_far = _misfit(found.rows, found.spread, torques[: k + 1]) * found.spread
-        values = _numbers(found, change)
-        alone = Model.of_placements(found.rows.fit.model.robot, (own.placement,))
-        units = {p.name.rpartition(".")[2]: p.unit for p in (*alone.columns, *alone.shapes)}
+        numbers = _numbers(found, change)
         before, after = float(without[j]), float(complete[j])
         steps.append(
             Step(
@@ -292,9 +289,9 @@ def _steps(
                 joints=own.candidate.joints,
                 joint=j,
                 status=own.status,
-                parameters={name: value for name, (value, _) in values.items()},
-                std={name: std for name, (_, std) in values.items()},
-                units={name: units.get(name, "") for name in values},
+                parameters={name: value for name, (value, _, _) in numbers.items()},
+                std={name: std for name, (_, std, _) in numbers.items()},
+                units={name: unit for name, (_, _, unit) in numbers.items()},
                 before=before,
                 after=after,
                 fall=Fall(None, None, before - after),
@@ -303,7 +300,7 @@ def _steps(
                 evidence=replace(own.evidence, coefficient_deviations=change.deviations),
                 doubt=own.doubt,
                 rivals=own.rivals,
-                group=numbers[k],
+                group=groups[k],
                 depends_on=signals_of(own.placement),
                 errors={
                     "rms_train": None,
@@ -316,18 +313,16 @@ def _steps(
     return beside_smooth_functions(steps)
 
 
-def _numbers(found: Round, change: _Change) -> dict[str, tuple[float, float]]:
-    """Return value and standard deviation of each parameter of a change by name."""
-    effect = found.candidate(change.slot.group).effect
-    shapes = found.paths.columns.shapes(change.slot.group)[: len(effect.shapes)]
-    values = {
-        c.name: (float(v), float(np.sqrt(max(variance, 0.0))))
-        for c, v, variance in zip(
-            effect.coefficients, change.values, np.diag(change.covariance), strict=True
-        )
-    }
-    return values | {
-        s.name: (float(v), float("nan")) for s, v in zip(effect.shapes, shapes, strict=True)
+def _numbers(found: Round, change: _Change) -> dict[str, tuple[float, float, str]]:
+    """Return value, standard deviation and unit of each parameter of a change by name."""
+    alone = Model.of_placements(found.rows.fit.model.robot, (change.candidate.placement,))
+    parameters = [*alone.columns, *alone.shapes]
+    shapes = found.paths.columns.shapes(change.slot.group)[: len(alone.shapes)]
+    std = np.sqrt(np.maximum(np.diag(change.covariance), 0.0))
+    std = np.append(std, np.full(len(shapes), np.nan))
+    return {
+        p.name.rpartition(".")[2]: (float(v), float(s), p.unit)
+        for p, v, s in zip(parameters, [*change.values, *shapes], std, strict=True)
     }
 
 

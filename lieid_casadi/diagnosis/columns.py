@@ -283,7 +283,7 @@ class ColumnStore:
 
     lasting: dict[str, PointColumns] = field(default_factory=dict)
     of_fit: dict[str, PointColumns] = field(default_factory=dict)
-    scans: dict[tuple[str, int], Array] = field(default_factory=dict)
+    scans: dict[tuple[str, int], tuple[Array, float]] = field(default_factory=dict)
     functions: dict[str, EffectFunction] = field(default_factory=dict)
 
     def for_another_fit(self) -> ColumnStore:
@@ -410,11 +410,12 @@ def scan_peaks(
     runs: Runs,
     residual: Array,
     store: ColumnStore,
-) -> Array:
+) -> tuple[Array, float]:
     """Return the values (P, 1) of a scanned shape parameter with the largest gains, and neighbours.
 
-    The columns are correlated with the residual (N,) without being filtered, which is accurate
-    enough to find candidates for a grid.
+    Beside them of how many independent values these are the best. The columns are correlated with
+    the residual (N,) without being filtered, which is accurate enough to find candidates for a
+    grid.
     """
     (shape,) = effect.shapes
     assert shape.scan is not None
@@ -432,7 +433,8 @@ def scan_peaks(
     peaks = np.flatnonzero((gains >= padded[:-2]) & (gains >= padded[2:]))
     best = peaks[np.argsort(-gains[peaks])[:SCAN_PEAKS]]
     around = np.unique(np.clip(best[:, None] + np.arange(-1, 2), 0, len(grid) - 1))
-    return np.asarray(grid[around][:, None])
+    turns = float(grid[-1] - grid[0]) * reach / (2.0 * np.pi)
+    return np.asarray(grid[around][:, None]), max(turns, 1.0)
 
 
 def _scan_gains(

@@ -122,14 +122,8 @@ def diagnose(
 def _with_events(
     found: Diagnosis, events: tuple[Event, ...], recordings: Sequence[Recording]
 ) -> Diagnosis:
-    """Return a diagnosis with the stretches left out; an arm at rest is not judged sufficient."""
-    resting = any(len(e.joints) == found.fit.model.n for e in events if e.kind == "standstill")
+    """Return a diagnosis with the stretches left out, and what the recordings lack."""
     warnings = [w for w in found.warnings if not isinstance(w, DropoutWarning)]
     gaps = [w for r in recordings for w in check_time(r) if isinstance(w, DropoutWarning)]
     held = held_joints(found.fit, recordings)
-    return replace(
-        found,
-        events=events,
-        verdict="unexplained" if resting else found.verdict,
-        warnings=unique_warnings([*warnings, *gaps, *held]),
-    )
+    return replace(found, events=events, warnings=unique_warnings([*warnings, *gaps, *held]))

@@ -89,14 +89,18 @@ def evidence_needed(limit: float, elsewhere: int) -> float:
     return 0.5 * limit if elsewhere >= OTHER_JOINTS else limit
 
 
-def coefficient_deviations(values: Array, covariance: Array, independent: float = KNOWN) -> float:
+def coefficient_deviations(
+    values: Array, covariance: Array, *, independent: float = KNOWN, tried: float = 1.0
+) -> float:
     """Return how far coefficients (k,) together are from zero, in standard deviations.
 
     Those are the standard deviations that noise exceeds as often (Wald's test). The noise is known
-    as well as ``independent`` stretches of recordings permit (F distribution).
+    as well as ``independent`` stretches of recordings permit (F distribution), and the coefficients
+    are the largest of those at ``tried`` independent shapes.
     """
     square = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values) / len(values)
     tail = float(fdtrc(len(values), max(independent, 1.0), max(square, 0.0)))
+    tail = -float(np.expm1(tried * np.log1p(-min(tail, 1.0 - SMALLEST))))
     return float(-ndtri(0.5 * max(tail, SMALLEST_TAIL)))
 
 

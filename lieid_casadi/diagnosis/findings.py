@@ -131,7 +131,7 @@ def _rivals(steps: Sequence[Step]) -> str:
     step = steps[0]
     shared = set.intersection(*({r.effect for r in s.rivals} for s in steps))
     if step.effect != Smooth.name and Smooth.name in shared:
-        function = step.rivals[0].label.partition(":")[0]
+        function = next(r.label for r in step.rivals if r.effect == Smooth.name).partition(":")[0]
         return f"; its form is not certain beside the function {function}"
     every = []
     for r in step.rivals:

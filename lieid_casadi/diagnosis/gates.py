@@ -18,26 +18,16 @@ LEAST_DELAY = 1.0  # samples: a velocity from differences is late by as much, co
 Gate = Callable[[Candidate, Array, Array, Sequence[Processed]], str | None]
 
 
-def implausible_sign(
+def implausible_value(
     candidate: Candidate, shapes: Array, values: Array, segments: Sequence[Processed]
 ) -> str | None:
-    """A coefficient outside the bounds that physics sets."""
+    """A coefficient outside the bounds that physics sets, or larger than on any real arm."""
     for coefficient, value in zip(candidate.effect.coefficients, values, strict=False):
+        text = f"{coefficient.name} = {value:.3g} {coefficient.unit} is"
         if not coefficient.lower <= value <= coefficient.upper:
-            return f"{coefficient.name} = {value:.2g} {coefficient.unit} is physically implausible"
-    return None
-
-
-def implausible_size(
-    candidate: Candidate, shapes: Array, values: Array, segments: Sequence[Processed]
-) -> str | None:
-    """A coefficient that is larger than on any real arm."""
-    for coefficient, value in zip(candidate.effect.coefficients, values, strict=False):
+            return f"{text} physically implausible"
         if abs(value) > coefficient.limit:
-            return (
-                f"{coefficient.name} = {value:.3g} {coefficient.unit} is larger than on a real arm "
-                f"(limit {coefficient.limit:g})"
-            )
+            return f"{text} larger than on a real arm (limit {coefficient.limit:g})"
     return None
 
 
@@ -70,7 +60,7 @@ def below_one_sample(
 
 
 #: In this order; the first reason counts.
-GATES: tuple[Gate, ...] = (implausible_sign, implausible_size, unresolved_shape, below_one_sample)
+GATES: tuple[Gate, ...] = (implausible_value, unresolved_shape, below_one_sample)
 
 
 def reason_against(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.comparison import Comparison, compare
+from lieid_casadi.comparison import compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
 from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay
@@ -27,6 +27,7 @@ from lieid_casadi.diagnosis.steps import (
     Accepted,
     absorbed_and_weak,
     difference_of,
+    errors_of,
     fall_of,
     fitted_values,
     late_friction,
@@ -127,15 +128,10 @@ class MissingEffects:
             where,
         )
         shown = after or fitted
-        verdict = "effect_found" if steps else "sufficient"
-        if parts or self.differing:
-            verdict = "unexplained"
         absorbed, weak = absorbed_and_weak(last)
         self.report("done", 1.0)
         return Diagnosis(
             mode="missing",
-            verdict=verdict,
-            joint_names=tuple(joint.name for joint in first.model.robot.joints),
             fit=fit,
             steps=steps,
             unexplained=parts,
@@ -145,7 +141,7 @@ class MissingEffects:
             noise_floor=shown.noise_floor,
             noise_source=shown.noise_source,
             baseline_effects=tuple(first.model.effects),
-            baseline=_errors(first, before),
+            baseline=errors_of(first, before),
             expected=None,
             tried=sum(c.of_arm for c in last.paths.columns.owners),
             absorbed=absorbed,
@@ -518,13 +514,3 @@ def _is_limit(candidate: Candidate) -> bool:
 def _stage(accepted: Sequence[Accepted]) -> str:
     labels = ", ".join(a.placement.label for a in accepted)
     return f"search beside {labels}" if labels else "search"
-
-
-def _errors(fit: Fit, compared: Comparison | None) -> dict[str, Array | None]:
-    """Return the errors of a fit by name; see `Step.errors`."""
-    return {
-        "rms_train": fit.rms_train,
-        "rms_test": None if compared is None else compared.rms,
-        "rms_test_moving": None if compared is None else compared.rms_moving,
-        "rms_cv": fit.rms_cv,
-    }

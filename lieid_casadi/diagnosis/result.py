@@ -46,8 +46,6 @@ class Diagnosis:
     ----------
     mode : str
         ``missing`` or ``changed``.
-    verdict : str
-        ``sufficient``, ``effect_found`` or ``unexplained``.
     fit : Fit
         The final fit, with all steps; the given one if the model is kept.
     steps : tuple of Step
@@ -85,8 +83,6 @@ class Diagnosis:
     """
 
     mode: str
-    verdict: str
-    joint_names: tuple[str, ...]
     fit: Fit
     steps: tuple[Step, ...]
     unexplained: tuple[Unexplained, ...]
@@ -108,6 +104,15 @@ class Diagnosis:
     seed: int = 0
     motion: MotionGain | None = None
     undecided: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """``sufficient``, ``effect_found`` or ``unexplained``, as an arm at rest is."""
+        n = self.fit.model.n
+        resting = any(len(e.joints) == n for e in self.events if e.kind == "standstill")
+        if resting or self.unexplained or self.differing:
+            return "unexplained"
+        return "effect_found" if self.steps else "sufficient"
 
     @property
     def shown(self) -> tuple[str, list[Array]]:
@@ -213,7 +218,7 @@ class Diagnosis:
         return make_table(
             f"RMS error on the {measured}, N·m (low-pass {self.fit.processing.cutoff:.3g} Hz"
             f"{about})",
-            ["model", *(f"joint {j + 1}" for j in range(len(self.joint_names)))],
+            ["model", *(f"joint {j + 1}" for j in range(self.fit.model.n))],
             rows,
             note=note,
         )
@@ -278,7 +283,7 @@ def motion_table(d: Diagnosis) -> Table:
     window = 1.0 if d.motion is None else d.motion.window
     return make_table(
         f"RMS error of the simulated motion after {window:.3g} s, deg",
-        ["model", *(f"joint {j + 1}" for j in range(len(d.joint_names))), "all"],
+        ["model", *(f"joint {j + 1}" for j in range(d.fit.model.n)), "all"],
         [
             [name, *map(float, np.degrees(x)), float(np.degrees(np.sqrt(np.mean(x**2))))]
             for name, x in models

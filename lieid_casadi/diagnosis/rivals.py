@@ -13,6 +13,7 @@ from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature
 from lieid_casadi.diagnosis.evidence import ALIKE, Slot, part_of, solved
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.search import SMOOTH, Round
+from lieid_casadi.diagnosis.smooth_functions import own_signals
 from lieid_casadi.diagnosis.step import Rival
 
 EXACT = 1e-6  # part of a torque by which exact rivals differ
@@ -30,7 +31,8 @@ def rivals_of(
     (Vuong, Econometrica 1989), each with the cost of its parameters. Candidates that stand in the
     effect's place in a path without a held-out part are compared, too; with friction that changes
     with time, changes at one instant. ``deviations`` are the standard errors by which the effect
-    must be better.
+    must be better. A smooth function, which is no hypothesis, is a rival of an effect of the
+    library if a path would choose it in its place.
     """
     paths, columns = found.paths, found.paths.columns
     state = paths.state(-1)
@@ -46,8 +48,12 @@ def rivals_of(
     rivals = []
     for group in examined:
         rival = columns.candidate(group)
-        theirs = _squares(found, [*beside, paths.outside(group)], block)
-        worse, error = _difference(found, mine, theirs, rival.parameters - candidate.parameters)
+        if rival.name == SMOOTH != candidate.name:
+            better = gains[[group, slot.group]] - found.penalty[[group, slot.group]]
+            worse, error = float(better[1] - better[0]) / len(mine), 0.0
+        else:
+            theirs = _squares(found, [*beside, paths.outside(group)], block)
+            worse, error = _difference(found, mine, theirs, rival.parameters - candidate.parameters)
         if worse > deviations * error:
             continue
         part = part_of(torque, paths.outside(group))
@@ -112,14 +118,16 @@ def _near(found: Round, mine: Candidate, fine: NDArray[np.bool_]) -> NDArray[np.
 
 
 def _same_kind(mine: Candidate, other: Candidate) -> bool:
-    """Whether two candidates are variants of one effect, or the other is a smooth function.
+    """Whether two candidates are variants of one effect, or a smooth function of other signals.
 
-    A smooth function contains most effects of its signals; that it does as well is no doubt. Smooth
-    functions of different signals are rivals.
+    Smooth functions of the signals of an effect, which may contain it, are rivals: where one is
+    better the form of the torque is not known. Smooth functions are rivals of each other.
     """
     if mine.name == other.name and mine.joints == other.joints:
         return mine.name != SMOOTH or mine.label == other.label
-    return other.name == SMOOTH and mine.name != SMOOTH
+    own = set(own_signals(mine.effect))
+    contains = bool(own) and own <= set(other.effect.option.split("."))
+    return other.name == SMOOTH != mine.name and not contains
 
 
 def _blocks(found: Round) -> NDArray[np.intp]:

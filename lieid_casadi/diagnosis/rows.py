@@ -94,7 +94,7 @@ class Rows:
         signals = tuple(SegmentSignals.of(fit, s, model_fixed=model_fixed) for s in segments)
         store = ColumnStore() if before is None else before.store.for_another_fit()
 
-        def scan(effect: Effect, joint: int) -> Array:
+        def scan(effect: Effect, joint: int) -> tuple[Array, float]:
             key = effect.label, joint
             if key not in store.scans:
                 store.scans[key] = scan_peaks(
@@ -157,11 +157,6 @@ class Rows:
         """Names of the recordings, in their order."""
         keys = dict.fromkeys((s.recording.name, s.recording.source_hash) for s in self.segments)
         return tuple(name or f"recording {k + 1}" for k, (name, _) in enumerate(keys))
-
-    @cached_property
-    def recording_of(self) -> list[Indices]:
-        """Recording (from 0) of each row, by joint."""
-        return [self._recordings[run.all] for run in self.runs]
 
     @cached_property
     def _recordings(self) -> Indices:

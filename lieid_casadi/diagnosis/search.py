@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -65,6 +66,8 @@ class Round:
     paths: Paths
     #: the effects of the path on all rows, in its order
     slots: tuple[Slot, ...]
+    #: (G,): what each group costs in a path
+    penalty: Array
 
     def candidate(self, group: int) -> Candidate:
         """Return the candidate of a group."""
@@ -109,7 +112,8 @@ def search(
         rows = rows.with_candidates(_refined(paths, whole, rows))
     if with_smooth:
         span = rows.span(scale, prior)
-        known = {c.label: c for c in smooth_candidates(rows, span, rests, scale) if wanted(c)}
+        smooth = smooth_candidates(rows, span, rests, scale, whole=prior is not None)
+        known = {c.label: c for c in smooth if wanted(c)}
         rows = rows.with_candidates([*rows.columns.owners, *known.values()])
     rows = _with_changes(rows, wanted, of_recordings=prior is None, in_course=with_smooth)
     coarse = True
@@ -121,15 +125,17 @@ def search(
             rest = _residual_beside(paths, first, rows, scale)
             own_noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
         dependence = _dependence(paths.columns, own_noise)
-        folds, slots = _judged(paths, rows, scale, dependence, options, beside_friction)
-        finer = _finer_instants(rows, slots) if coarse else []
+        folds, slots, functions = _judged(paths, rows, scale, dependence, options, beside_friction)
+        finer = _finer_instants(rows, slots) if coarse and not functions else []
         if finer:
             rows, coarse = replace(rows, columns=rows.columns.joined(finer)), False
             continue
-        certain = _without_uncertain_changes(rows.columns, slots, options)
-        if certain is None:
-            return Round(rows, scale, folds, paths, slots)
-        rows = replace(rows, columns=certain)
+        leaving = _leaving(rows.columns, slots, functions, options)
+        if not leaving:
+            penalty = _rules(paths.columns, rows, options, dependence).penalty
+            return Round(rows, scale, folds, paths, slots, penalty)
+        kept = ~np.isin(rows.columns.owner, sorted(leaving))
+        rows = replace(rows, columns=rows.columns.of_groups(np.flatnonzero(kept)))
 
 
 def _judged(
@@ -139,13 +145,14 @@ def _judged(
     dependence: Array,
     options: DiagnosisOptions,
     beside_friction: bool,
-) -> tuple[Folds, tuple[Slot, ...]]:
+) -> tuple[Folds, tuple[Slot, ...], list[Slot]]:
     """Return the held-out parts, and the effects of the path on all rows as these judge it.
 
     Smooth functions come first on the joints where the error of the held-out parts is lower so, or
     where only so anything lowers it: many effects of the library together resemble a torque that
     none of them describes. Where fewer effects are supported so, any lower error is enough; a
-    smooth function that the library needs as well counts as one.
+    smooth function that the library needs as well counts as one. Beside them the smooth functions
+    that come first and raise the held-out error, with which no further path is examined.
     """
     rules = _rules(paths.columns, rows, options, dependence)
     every = range(len(rows.runs))
@@ -159,23 +166,21 @@ def _judged(
         kind: _in_span(paths.span, UNCERTAIN_FRICTION[kind](rows), rows.weights(spread))
         for kind in sorted(kinds if beside_friction else ())
     }
-
     steady = np.concatenate(rows.away_from_reversals)
+    judged = partial(judge, paths, folds, friction=friction, steady=steady)
 
     def outside(smooth_first: Collection[int]) -> list[list[int]]:
         found = (forward(few, k, of_few, smooth_first=smooth_first) for k in range(folds.count))
         return [kept[list(path)].tolist() for path in found]
 
-    def judged(
-        path: Sequence[int], parts: Sequence[Sequence[int]]
-    ) -> tuple[tuple[Slot, ...], Array]:
-        return judge(paths, folds, path, parts, friction, steady)
-
-    slots, before = judged(whole, outside(()))
     first = {paths.columns.candidate(g).joint for g in other if rules.smooth[g]}
     if set(other) == set(whole) or not first:
-        return folds, slots
+        return folds, judged(whole, outside(()))[0], []
     so, after = judged(other, outside(first))
+    worse = [slot for slot in so if rules.smooth[slot.group] and slot.fall < 0.0]
+    if worse:
+        return folds, so, worse
+    slots, before = judged(whole, outside(()))
     plain, smooth = _supported(slots, options), _supported(so, options)
     needed = {paths.columns.candidate(g).joint for g in whole if rules.smooth[g]}
     lower = after.sum(axis=0) < before.sum(axis=0)
@@ -183,10 +188,10 @@ def _judged(
     better |= {j for j in first if lower[j] and 0 < smooth[j] < plain[j] + (j in needed)}
     better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
     if better == first:
-        return folds, so
+        return folds, so, []
     if better:
         slots, _ = judged(forward(paths, -1, rules, smooth_first=better), outside(better))
-    return folds, slots
+    return folds, slots, []
 
 
 def _supported(slots: Sequence[Slot], options: DiagnosisOptions) -> Counter[int]:
@@ -274,14 +279,19 @@ def _finer_instants(rows: Rows, slots: Sequence[Slot]) -> list[Columns]:
     return finer
 
 
-def _without_uncertain_changes(
-    columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions
-) -> Columns | None:
-    """Return the columns without changes in the course of a recording that are not certain.
+def _leaving(
+    columns: Columns, slots: Sequence[Slot], functions: Sequence[Slot], options: DiagnosisOptions
+) -> set[int]:
+    """Return the candidates whose place in a path others should take.
 
-    None if all of a path are. What is not in it leaves, too: changes compete with effects, whose
-    place others would take where there is no such change.
+    Those are the smooth functions that raise the held-out error of their joint most: beside them
+    others gain nothing. If there is none, changes in the course of a recording that are not
+    certain, and with them all that are not in the path: they compete with effects where there is
+    no such change.
     """
+    if functions:
+        worst = {slot.joint: slot for slot in sorted(functions, key=lambda slot: -slot.fall)}
+        return {int(columns.owner[slot.group]) for slot in worst.values()}
     pairs = [(slot, columns.candidate(slot.group).course) for slot in slots]
     changes = {int(columns.owner[slot.group]) for slot, course in pairs if course is not None}
     certain = {
@@ -290,9 +300,8 @@ def _without_uncertain_changes(
         if course and slot.certainty >= CERTAINTY[course.kind] * options.name_deviations
     }
     if certain == changes:
-        return None
-    stays = [k in certain or c.course is None for k, c in enumerate(columns.owners)]
-    return columns.of_groups(np.flatnonzero(np.array(stays)[columns.owner]))
+        return set()
+    return {k for k, c in enumerate(columns.owners) if c.course is not None} - certain
 
 
 def _weighted(rows: Rows, spread: Array, prior: Array | None) -> tuple[Span, Columns]:

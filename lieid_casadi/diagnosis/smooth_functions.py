@@ -22,8 +22,8 @@ from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.findings import number
 from lieid_casadi.diagnosis.path import Span
 from lieid_casadi.diagnosis.rows import Rows
-from lieid_casadi.effects import Placement
-from lieid_casadi.effects.registry import make
+from lieid_casadi.effects import Effect, Placement
+from lieid_casadi.effects.smooth import Smooth
 from lieid_casadi.identification.regression.variable_projection import shapes_of_data
 from lieid_casadi.model import Model
 
@@ -43,12 +43,13 @@ LEAST_EXPLAINED = 0.8  # of the variance, by a formula that is stated
 
 
 def smooth_candidates(
-    rows: Rows, span: Span, residuals: Sequence[Sequence[Array]], spread: Array
+    rows: Rows, span: Span, residuals: Sequence[Sequence[Array]], spread: Array, *, whole: bool
 ) -> list[Candidate]:
     """Return the smooth functions that one of several residuals follows most on each joint.
 
     Each residual has the values (R_j,) of every joint; ``spread`` (n,) is the standard deviation of
-    the noise, N·m, by which the rows of ``span`` are weighted.
+    the noise, N·m, by which the rows of ``span`` are weighted. If the model is kept, a function is
+    ``whole``: no parameter of the model describes a part of it.
     """
     found: dict[str, Candidate] = {}
     weights = rows.weights(spread)
@@ -69,7 +70,7 @@ def smooth_candidates(
                 for own in (of_joint, ~of_joint):
                     ranked = np.where(own, of_residual, 0.0)
                     best = [k for k in np.argsort(-ranked)[:PER_JOINT] if ranked[k] > 0.0]
-                    wanted = [_candidate(rows, signals[k], joint) for k in best]
+                    wanted = [_candidate(rows, signals[k], joint, whole=whole) for k in best]
                     found |= {candidate.label: candidate for candidate in wanted}
     return list(found.values())
 
@@ -113,6 +114,12 @@ def followed_signals(rows: Rows, span: Span, joint: int, spread: Array) -> tuple
         if score > most and part > LEAST_FOLLOWED:
             best, most = names, score
     return tuple(named_column(name, joint) for name in best)
+
+
+def own_signals(effect: Effect) -> tuple[str, ...]:
+    """Return the signals of its joint that an effect depends on, as smooth functions name them."""
+    letters = {field: letter for letter, field in FIELDS.items()} | {"sign": "dq"}
+    return tuple(dict.fromkeys(letters[s] for s in effect.signals if s in letters))
 
 
 def named_column(signal: str, joint: int) -> str:
@@ -187,10 +194,9 @@ def _gains(columns: Array, targets: Array, basis: Array) -> Array:
     return np.asarray(np.einsum("kt,kt->t", products, np.linalg.solve(gram, products)))
 
 
-def _candidate(rows: Rows, signals: Sequence[str], joint: int) -> Candidate:
+def _candidate(rows: Rows, signals: Sequence[str], joint: int, *, whole: bool) -> Candidate:
     """Return the effect on some signals, with the ranges of the recordings."""
-    effect = make(f"smooth/{'.'.join(signals)}")
-    placement = Placement(effect, joint)
+    placement = Placement(Smooth(option=".".join(signals), whole=whole), joint)
     alone = Model.of_placements(rows.fit.model.robot, (placement,))
     return Candidate(placement, shapes_of_data(alone, rows.segments)[None])
 

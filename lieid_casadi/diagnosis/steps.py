@@ -16,7 +16,7 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import rivals_of
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round
-from lieid_casadi.diagnosis.smooth_functions import FIELDS, formula_of, named_column
+from lieid_casadi.diagnosis.smooth_functions import formula_of, named_column, own_signals
 from lieid_casadi.diagnosis.step import (
     Difference,
     Doubt,
@@ -79,10 +79,7 @@ class Accepted:
             slot.selected_any,
             int(found.folds.independent[slot.joint]),
         )
-        beside = [
-            *(found.candidate(g) for g in others),
-            *(a.candidate for a in earlier),
-        ]
+        beside = [*map(found.candidate, others), *(a.candidate for a in earlier)]
         smooth = any(c.name == SMOOTH and c.joint == slot.joint for c in beside)
         return cls(
             candidate,
@@ -118,7 +115,12 @@ class Accepted:
         covariance = fit.covariance[np.ix_(own, own)]
         if not own or not np.isfinite(covariance).all():
             return float("nan")
-        return coefficient_deviations(fit.values[own], covariance, self.evidence.independent)
+        return coefficient_deviations(
+            fit.values[own],
+            covariance,
+            independent=self.evidence.independent,
+            tried=self.candidate.scanned,
+        )
 
 
 def _doubt(candidate: Candidate, slot: Slot, options: DiagnosisOptions, *, sudden: bool) -> Doubt:
@@ -182,12 +184,9 @@ def steps_of(
         later = columns[k + 1 :]
         so_far = final.errors(np.concatenate([np.zeros(0, dtype=np.intp), *later]))
         without, j = final.errors(columns[k]), found.joint
-        if k == len(accepted) - 1:
-            so_far = {"train": so_far["train"], "cv": fit.rms_cv, "test": so_far["test"]}
         fall = {key: _difference(without[key], complete[key], j) for key in ("train", "cv", "test")}
         before, after = (float(_value(errors["cv"], j)) for errors in (without, complete))
         _, _, numbers = fitted_values(fit, found.placement)
-        last = k == len(accepted) - 1
         steps.append(
             Step(
                 label=found.placement.label,
@@ -211,16 +210,26 @@ def steps_of(
                 formula=_formula(final, found.placement, rows) if found.status == "shape" else "",
                 rival_pairs=(replaced,) if len(replaced) > 1 else (),
                 errors={
-                    "rms_train": fit.rms_train if last else so_far["train"],
-                    "rms_test": tested.rms if tested is not None and last else so_far["test"],
-                    "rms_test_moving": (
-                        tested.rms_moving if tested is not None and last else so_far["test"]
-                    ),
+                    "rms_train": so_far["train"],
+                    "rms_test": so_far["test"],
+                    "rms_test_moving": so_far["test"],
                     "rms_cv": so_far["cv"],
-                },
+                }
+                if len(later)
+                else errors_of(fit, tested),
             )
         )
     return beside_smooth_functions(steps)
+
+
+def errors_of(fit: Fit, compared: Comparison | None) -> dict[str, Array | None]:
+    """Return the errors of a fit by name; see `Step.errors`."""
+    return {
+        "rms_train": fit.rms_train,
+        "rms_test": None if compared is None else compared.rms,
+        "rms_test_moving": None if compared is None else compared.rms_moving,
+        "rms_cv": fit.rms_cv,
+    }
 
 
 def _formula(final: FinalModel, smooth: Placement, rows: Rows) -> str:
@@ -292,9 +301,8 @@ def difference_of(found: Round, slot: Slot, *, of_model: bool) -> Difference:
     if candidate.course is not None:
         at = float(candidate.course.at[found.paths.columns.point[slot.group]])
         since, period = (at if candidate.course.kind == k else None for k in ("later", "wave"))
-        letters = {field: letter for letter, field in FIELDS.items()} | {"sign": "dq"}
-        own = [letters[s] for s in candidate.effect.signals if s in letters]
-        signals = ("t", *dict.fromkeys(named_column(s, candidate.joint) for s in own))
+        own = own_signals(candidate.effect)
+        signals = ("t", *(named_column(s, candidate.joint) for s in own))
         if period is not None:
             values, std = (np.hypot(*np.split(x, 2)) for x in (values, std / np.sqrt(2.0)))
     names, part = [c.name for c in candidate.effect.coefficients], candidate.recording

@@ -82,7 +82,8 @@ class Smooth(Effect):
     constant, and what is linear in the joint's own velocity with its sign, acceleration or load,
     are left out: `offset`, `viscous`, `coulomb`, `armature` and the inertia describe them. The ends
     of the range (0.5th and 99.5th percentile) are stored with the fit; beyond them the function
-    keeps its value and falls to zero within a tenth of the range.
+    keeps its value and falls to zero within a tenth of the range. Nothing is left out of a
+    ``whole`` function, which is for a model whose own parameters are kept.
     """
 
     name = "smooth"
@@ -108,12 +109,13 @@ class Smooth(Effect):
     typical = "any; the root of the sum of squares of the coefficients is the RMS over the range"
     references = ("de Boor, A Practical Guide to Splines, 1978",)
 
-    def __init__(self, *, option: str = "") -> None:
+    def __init__(self, *, option: str = "", whole: bool = False) -> None:
         self.option = option or "dq"
         self._signals = _parsed(self.option)
         self.formula = f"Σ c_k·φ_k({', '.join(self.option.split('.'))})"
         self._combination = _combination(
-            tuple(s.name for s in self._signals), tuple(s.removed for s in self._signals)
+            tuple(s.name for s in self._signals),
+            () if whole else tuple(s.removed for s in self._signals),
         )
         self.coefficients = tuple(
             Coefficient(
@@ -223,15 +225,16 @@ def _splines(place: ca.SX, count: int) -> list[ca.SX]:
 def _combination(names: tuple[str, ...], removed: tuple[bool, ...]) -> Array:
     """Return the combinations (b, c) of products that are orthonormal over the range.
 
-    They are orthogonal to a constant and to what other effects describe. Gram and Schmidt's
-    procedure in a fixed order gives the same numbers on every machine, which a file with
-    coefficients needs; a singular value decomposition does not.
+    They are orthogonal to a constant and to what other effects describe, of each signal or, in a
+    whole function, of none. Gram and Schmidt's procedure in a fixed order gives the same numbers on
+    every machine, which a file with coefficients needs; a singular value decomposition does not.
     """
     paired = len(names) > 1
     count = PAIR_GRID if paired else GRID
     axis = (2.0 * np.arange(count) + 1.0) / count - 1.0
     factors = [_values(axis, name, names) for name in names]
-    known = [_described(axis, *each) for each in zip(names, removed, strict=True)]
+    known = [_described(axis, *each) for each in zip(names, removed, strict=False)]
+    known += [np.zeros((count, 0))] * (len(names) - len(known))
     if not paired:
         return _orthonormal(known[0], factors[0], LEAST_ALONE)
     a, b = (x.ravel() for x in np.meshgrid(axis, axis, indexing="ij"))

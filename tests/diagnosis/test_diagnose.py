@@ -22,6 +22,7 @@ from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import DiagnosisOptions, evidence, search, smooth_functions
 from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.columns import scan_peaks
 from lieid_casadi.diagnosis.findings import finding
 from lieid_casadi.diagnosis.folds import folds_of
 from lieid_casadi.diagnosis.gates import unresolved_shape
@@ -223,7 +224,7 @@ def test_noise_exceeds_deviations_of_coefficients_as_often_as_a_normal_number():
     values = random.normal(size=(draws, 3)) @ root.T
     known = random.chisquare(stretches, draws) / stretches
     found = [
-        evidence.coefficient_deviations(v, k * covariance, stretches)
+        evidence.coefficient_deviations(v, k * covariance, independent=stretches)
         for v, k in zip(values, known, strict=True)
     ]
     for limit in (1.0, 2.0, 3.0):
@@ -231,6 +232,28 @@ def test_noise_exceeds_deviations_of_coefficients_as_often_as_a_normal_number():
         error = np.sqrt(expected / draws)
         assert np.mean(np.array(found) > limit) == pytest.approx(expected, abs=4.0 * error)
     assert evidence.coefficient_deviations(np.array([3.0]), np.eye(1)) == pytest.approx(3.0)
+
+
+def test_a_ripple_in_noise_is_the_best_of_all_orders_that_were_tried():
+    """Of white noise the largest fall at any order exceeds a limit as often as is stated."""
+    recording = run(arm_with(), 1)
+    fit = lieid.identify(MODEL, recording)
+    segments = process([recording], fit.processing)
+    rows, effect = Rows.of(fit, segments, with_candidates=False), make("torque_ripple")
+    (signals,), angle = rows.signals, rows.signals[0].values["q"][:, 0]
+    angle = angle[signals.segment.kept][rows.runs[0].all]
+    random, tails = np.random.default_rng(5), []
+    for _ in range(150):
+        noise = random.normal(size=len(angle))
+        grid, tried = scan_peaks(effect, 0, rows.signals, rows.runs[0], noise, rows.store)
+        waves = [np.column_stack([np.sin(k * angle), np.cos(k * angle)]) for k in grid[:, 0]]
+        largest = max(float(np.sum((np.linalg.qr(w)[0].T @ noise) ** 2)) for w in waves)
+        value = np.array([np.sqrt(largest), 0.0])  # of two coefficients in standard deviations
+        tails.append(evidence.coefficient_deviations(value, np.eye(2), tried=tried))
+    assert tried > 10.0
+    for limit in (1.0, 2.0):
+        expected = 2.0 * norm.sf(limit)
+        assert 0.3 * expected < np.mean(np.array(tails) > limit) < 2.0 * expected
 
 
 def test_a_hysteresis_narrower_than_a_sample_at_rest_resolves_is_refused():
@@ -291,7 +314,7 @@ def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
 def test_smooth_functions_are_chosen_beside_the_path(monkeypatch):
     """A refined grid numbers groups anew: those of the path are not the same numbers of later."""
 
-    def compared(rows, span, residuals, spread):
+    def compared(rows, span, residuals, spread, *, whole):
         np.testing.assert_allclose(rows.spread(residuals[0]), spread, rtol=1e-9)
         raise KeyError
 
@@ -328,7 +351,7 @@ def test_a_function_pays_for_how_many_functions_are_tried(joints):
         Candidate(Placement(make("armature"), 0), np.zeros((1, 0))),
         Candidate(Placement(make("transmission_coupling"), 0, source=1), np.zeros((1, 0))),
         *(
-            smooth_functions._candidate(rows, signals, 0)
+            smooth_functions._candidate(rows, signals, 0, whole=False)
             for signals in (("q",), (f"q{joints}",), ("q", "dq"), ("q", f"load{joints}"))
         ),
     ]
@@ -410,6 +433,19 @@ def test_a_torque_of_the_own_signals_is_one_smooth_function(torque, labels, rema
     assert len(diagnosis.steps) == 1 or labels[0] != "smooth/q:2"
     before, after = (e["rms_test"][1] for e in (diagnosis.baseline, diagnosis.steps[-1].errors))
     assert after < remains * before
+
+
+def test_an_effect_has_no_certain_form_where_a_function_of_its_signals_is_better():
+    def rough(s):
+        return s.sign[..., 1] * spot(s.q, -0.4, 0.2)
+
+    odd = arm_with().with_effects(plant.ForeignTorque(1, rough))
+    (found,) = lieid.diagnose(MODEL, run(odd, 1)).steps
+    assert (found.label, found.status) == ("position_friction:2", "one_of")
+    assert [rival.label for rival in found.rivals] == ["smooth/q.dq:2"]
+    known = ("position_friction", 1, 2.0)
+    (step,) = lieid.diagnose(MODEL, run(arm_with(known), 1)).steps
+    assert (step.label, step.status, step.rivals) == ("position_friction:2", "named", ())
 
 
 @pytest.mark.parametrize("speed", [0.6, pytest.param(1.0, marks=pytest.mark.slow)])
@@ -581,6 +617,19 @@ def test_a_change_is_named(name, joint, strength, label):
     assert [s.label for s in diagnosis.steps] == [label]
     assert diagnosis.mode == "changed"
     assert diagnosis.steps[0].errors["rms_train"] is None
+
+
+def test_a_change_of_no_known_form_is_one_function_with_what_is_linear_in_its_signals():
+    """The kept model does not describe its linear part; others are judged without harmful ones."""
+
+    def peak(s):
+        v = s.dq[..., 0]
+        return 2.0 * np.sign(v) * np.exp(-(((np.abs(v) / 0.6 - 1.0) / 0.25) ** 2))
+
+    arm = arm_with().with_effects(plant.ForeignTorque(0, peak))
+    (step,) = lieid.diagnose(unchanged_fit(), run(arm, 3)).steps
+    assert (step.label, step.status) == ("smooth/dq:1", "shape")
+    assert step.after < 0.35 * step.before
 
 
 def test_a_joint_without_any_torque_has_no_share_of_it():

@@ -11,6 +11,7 @@ from plant.recordings import recorded as measured
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.effects import make
+from lieid_casadi.effects.smooth import Smooth
 from lieid_casadi.recording import Processing
 
 PANDA = lieid.robots.panda()
@@ -131,3 +132,30 @@ def test_functions_are_orthonormal_and_without_what_friction_describes():
     count = range(len(effect.coefficients))
     gram = [[sum(simpson(s[a] * s[b], x=x) for s in sides) / 4.0 for a in count] for b in count]
     np.testing.assert_allclose(gram, np.eye(len(count)), atol=1e-2)
+
+
+@pytest.mark.parametrize("option", ["dq", "q", "load", "q.load", "dq.load"])
+def test_a_whole_function_contains_a_constant_and_what_is_linear_in_its_signals(option):
+    """Splines of a warped speed are no straight line, but close to one."""
+    from lieid_casadi.effects import Signals
+
+    random = np.random.default_rng(2)
+    angle, speed, load = random.uniform(-1.0, 1.0, (3, 400))
+    values = {"q": angle, "dq": speed, "load": load}
+    own = [ca.SX.sym(name) for name in values]
+    zero, sign = ca.SX(0), ca.sign(own[1])
+    signals = Signals(own[0], own[1], zero, sign, own[2], zero, zero)
+    known = [np.ones(400)] if "dq" not in option else [np.sign(speed), speed]
+    known += [x for name, x in values.items() if name in option.split(".")[:1] and name != "dq"]
+    rest = {}
+    for whole in (False, True):
+        effect = Smooth(option=option, whole=whole)
+        ranges = {s.name: ca.SX(-1.0 if s.name.endswith("low") else 1.0) for s in effect.shapes}
+        columns = ca.vertcat(*effect.columns(signals, ranges))
+        matrix = ca.Function("f", own, [columns])(*(x[None] for x in values.values())).full().T
+        fitted = [x - matrix @ np.linalg.lstsq(matrix, x, rcond=None)[0] for x in known]
+        rest[whole] = max(
+            np.linalg.norm(r) / np.linalg.norm(x) for r, x in zip(fitted, known, strict=True)
+        )
+    assert rest[True] < 0.03
+    assert rest[False] > 0.3
