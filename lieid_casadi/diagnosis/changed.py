@@ -1,9 +1,9 @@
 """What has changed since a fit: its model is kept, and new recordings are explained by additions.
 
-The search is that for missing effects, with three differences: the fit's parameters may move
-within their uncertainty only (rows of a prior), so that an uncertain parameter is not taken for a
-change; the noise is that of the fit on held-out data; and effects are searched for on joints whose
-error is larger than it was on other motion.
+The search is that for missing effects, with four differences: the fit's parameters may move
+within their uncertainty only (rows of a prior), so that none is taken for a change; the noise is
+that of the fit on held-out data; effects are searched for on joints whose error is larger than it
+was on other motion; and smooth functions contain what is linear in their signals.
 """
 
 from __future__ import annotations

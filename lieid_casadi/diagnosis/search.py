@@ -151,8 +151,8 @@ def _judged(
     Smooth functions come first on the joints where the error of the held-out parts is lower so, or
     where only so anything lowers it: many effects of the library together resemble a torque that
     none of them describes. Where fewer effects are supported so, any lower error is enough; a
-    smooth function that the library needs as well counts as one. Beside them the smooth functions
-    that come first and raise the held-out error, with which no further path is examined.
+    smooth function that the library needs as well counts as one. Beside them the functions of a
+    kept model that raise the held-out error, with which no further path is examined.
     """
     rules = _rules(paths.columns, rows, options, dependence)
     every = range(len(rows.runs))
@@ -177,9 +177,9 @@ def _judged(
     if set(other) == set(whole) or not first:
         return folds, judged(whole, outside(()))[0], []
     so, after = judged(other, outside(first))
-    worse = [slot for slot in so if rules.smooth[slot.group] and slot.fall < 0.0]
-    if worse:
-        return folds, so, worse
+    effects = [paths.columns.candidate(slot.group).effect for slot in so if slot.fall < 0.0]
+    if any(isinstance(effect, Smooth) and effect.whole for effect in effects):
+        return folds, so, [s for s in so if rules.smooth[s.group] and s.fall < 0.0]
     slots, before = judged(whole, outside(()))
     plain, smooth = _supported(slots, options), _supported(so, options)
     needed = {paths.columns.candidate(g).joint for g in whole if rules.smooth[g]}

@@ -110,7 +110,7 @@ class Smooth(Effect):
     references = ("de Boor, A Practical Guide to Splines, 1978",)
 
     def __init__(self, *, option: str = "", whole: bool = False) -> None:
-        self.option = option or "dq"
+        self.option, self.whole = option or "dq", whole
         self._signals = _parsed(self.option)
         self.formula = f"Σ c_k·φ_k({', '.join(self.option.split('.'))})"
         self._combination = _combination(
