@@ -195,11 +195,11 @@ def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Arr
         return np.array([(0.0,) * len(effect.coefficients), *effect.trial_values])
     if not effect.shapes:
         return np.zeros((1, 0))
-    size = GRID
-    count = size if len(effect.shapes) == 1 else int(np.ceil(np.sqrt(size)))
+    count = GRID if len(effect.shapes) == 1 else int(np.ceil(np.sqrt(GRID)))
     axes = []
     for shape in effect.shapes:
         lower, upper = shape_limits(shape, segments, joint)
+        lower = shape.lower if shape.resolved_by == "distance" else lower  # until a gate refuses it
         limited = replace(shape, lower=lower, upper=upper)
         places = np.linspace(0.0, 1.0, count + 2)[1:-1]
         axes.append(ShapeRange.of([limited]).shapes(places[:, None])[:, 0])
