@@ -29,10 +29,11 @@ def test_mutated_files_give_data_or_an_error(name, child):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_many_mutated_files_give_data_or_an_error(name, child):
-    tally = fuzz(FORMATS[name], range(LONG), 1, child)
+    count = LONG // 2 if name == "episodes" else LONG  # several files each, half a second
+    tally = fuzz(FORMATS[name], range(count), 1, child)
     hangs = [e for e in tally.escapes if e.detail.startswith("hang")]
     # pyarrow decodes some damaged column offsets for ever, and ends the process if asked for them
-    assert len(hangs) <= (LONG // 200 if name == "episodes" else 0), report(tally)
+    assert len(hangs) <= (count // 200 if name == "episodes" else 0), report(tally)
     assert len(hangs) == len(tally.escapes), report(tally)
 
 
