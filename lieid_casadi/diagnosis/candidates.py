@@ -29,13 +29,13 @@ GRID = 25  # values of one shape parameter; its square root for each of two
 #: Time constants, relative to the longest segment: a shorter one is over before the first
 #: reversal, a longer one is a straight line in time.
 TIME_CONSTANTS = (0.05, 2.0)
-#: Least velocity scale in dead zones, in which the sign of the velocity is uncertain, and the
-#: largest relative to the top speed, beyond which a column is close to a polynomial.
+#: Least velocity scale in dead zones, in which the sign of the velocity is uncertain, and largest
+#: one relative to the top speed, beyond which a column is close to a polynomial.
 VELOCITY_SCALES = (3.0, 0.35)
 #: Least width of a hysteresis, in the distance that a joint passes in a sample at the speed of the
-#: dead zone: friction that builds up sooner changes its sign at another instant, and no more.
+#: dead zone: friction that builds up sooner changes its sign at another instant, and no more. Such
+#: a hysteresis is tried, so that no other effect is in its place, and refused.
 LEAST_WIDTH = 6.0
-
 
 CourseKind = Literal["later", "wave"]
 
@@ -180,9 +180,9 @@ def list_candidates(
             if placement.label in have or not moves[list(joints_of(placement))].all():
                 continue
             j = placement.joint
-            grid, of = scan(effect, j) if scanned else (shape_grid(effect, segments, j), 1.0)
+            grid, tried = scan(effect, j) if scanned else (shape_grid(effect, segments, j), 1.0)
             if len(grid):
-                found.append(Candidate(placement, grid, scanned=of))
+                found.append(Candidate(placement, grid, scanned=tried))
     return tuple(found)
 
 
@@ -199,7 +199,7 @@ def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Arr
     axes = []
     for shape in effect.shapes:
         lower, upper = shape_limits(shape, segments, joint)
-        lower = shape.lower if shape.resolved_by == "distance" else lower  # until a gate refuses it
+        lower = shape.lower if shape.resolved_by == "distance" else lower  # a gate refuses these
         limited = replace(shape, lower=lower, upper=upper)
         places = np.linspace(0.0, 1.0, count + 2)[1:-1]
         axes.append(ShapeRange.of([limited]).shapes(places[:, None])[:, 0])

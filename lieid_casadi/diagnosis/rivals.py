@@ -39,6 +39,7 @@ def rivals_of(
     for group in others:
         state = state.with_group(group)
     gains, values = state.gains()
+    net = gains - found.penalty
     candidate = columns.candidate(slot.group)
     torque = paths.outside(slot.group) @ slot.values
     examined = _examined(found, gains, values, slot, torque)
@@ -49,8 +50,7 @@ def rivals_of(
     for group in examined:
         rival = columns.candidate(group)
         if rival.name == SMOOTH != candidate.name:
-            better = gains[[group, slot.group]] - found.penalty[[group, slot.group]]
-            worse, error = float(better[1] - better[0]) / len(mine), 0.0
+            worse, error = float(net[slot.group] - net[group]) / len(mine), 0.0
         else:
             theirs = _squares(found, [*beside, paths.outside(group)], block)
             worse, error = _difference(found, mine, theirs, rival.parameters - candidate.parameters)

@@ -21,7 +21,7 @@ import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
 from lieid_casadi.diagnosis import DiagnosisOptions, evidence, search, smooth_functions
-from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.candidates import Candidate, shape_grid
 from lieid_casadi.diagnosis.columns import scan_peaks
 from lieid_casadi.diagnosis.findings import finding
 from lieid_casadi.diagnosis.folds import folds_of
@@ -268,6 +268,7 @@ def test_a_hysteresis_narrower_than_a_sample_at_rest_resolves_is_refused():
             candidate, np.array([samples * sample]), np.array([1.0]), segments
         )
         assert (reason is None) == resolved
+    assert shape_grid(candidate.effect, segments, 0).min() < 6.0 * sample  # narrow ones compete
 
 
 def test_an_effect_needs_evidence_together_and_its_name_each(monkeypatch):
@@ -619,15 +620,16 @@ def test_a_change_is_named(name, joint, strength, label):
     assert diagnosis.steps[0].errors["rms_train"] is None
 
 
-def test_a_change_of_no_known_form_is_one_function_with_what_is_linear_in_its_signals():
+@pytest.mark.parametrize("size", [2.0, 12.0])  # the larger one resembles functions that harm
+def test_a_change_of_no_known_form_is_one_function_with_what_is_linear_in_its_signals(size):
     """The kept model does not describe its linear part; others are judged without harmful ones."""
 
     def peak(s):
         v = s.dq[..., 0]
-        return 2.0 * np.sign(v) * np.exp(-(((np.abs(v) / 0.6 - 1.0) / 0.25) ** 2))
+        return size * np.sign(v) * np.exp(-(((np.abs(v) / 0.6 - 1.0) / 0.25) ** 2))
 
     arm = arm_with().with_effects(plant.ForeignTorque(0, peak))
-    (step,) = lieid.diagnose(unchanged_fit(), run(arm, 3)).steps
+    (step,) = lieid.diagnose(lieid.identify(MODEL, run(arm_with(), 5)), run(arm, 3)).steps
     assert (step.label, step.status) == ("smooth/dq:1", "shape")
     assert step.after < 0.35 * step.before
 

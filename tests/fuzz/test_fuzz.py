@@ -29,7 +29,7 @@ def test_mutated_files_give_data_or_an_error(name, child):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_many_mutated_files_give_data_or_an_error(name, child):
-    count = LONG // 2 if name == "episodes" else LONG  # several files each, half a second
+    count = LONG // 2 if name == "episodes" else LONG  # some of the others end at the limit
     tally = fuzz(FORMATS[name], range(count), 1, child)
     hangs = [e for e in tally.escapes if e.detail.startswith("hang")]
     # pyarrow decodes some damaged column offsets for ever, and ends the process if asked for them
