@@ -119,6 +119,12 @@ class Candidate:
         return isinstance(self.effect, ArmEffect) and self.effect.reach != "joint"
 
     @property
+    def by_estimate(self) -> bool:
+        """Whether its columns depend on its coefficients, as those of delays and filters do."""
+        effect = self.effect
+        return isinstance(effect, ArmEffect) and not effect.shapes and not effect.linear
+
+    @property
     def of_arm(self) -> bool:
         """Whether it acts in all recordings at all times, as an effect of the arm does."""
         return self.recording is None and self.course is None

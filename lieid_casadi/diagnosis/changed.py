@@ -22,7 +22,6 @@ from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Span
 from lieid_casadi.diagnosis.result import Diagnosis
-from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import Round, search
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
@@ -170,8 +169,7 @@ def _changes(
                 slots = [slot for slot in slots if slot is not change.slot]
                 break
         else:
-            simplest = represented(found, slots)
-            return _fitted(found, simplest, noise), rejected
+            return changes, rejected
 
 
 def _reason(

@@ -11,9 +11,9 @@ The method, for missing effects (`missing`):
    their values are plausible (`gates`); smooth functions where no effect of the library does.
 4. Search again beside them, effects that several joints have on the others alone, and delays where
    friction reverses late; then fit the model with all of them by the procedure of `identify`, try
-   variants of friction over speed, and leave out what lowers no held-out error beside the others.
-   Of arms under commands limits of the drives are searched first, and the simulated motion must be
-   better with each effect (`motion`).
+   variants of friction over speed and rivals of delays, and leave out what lowers no held-out error
+   beside the others. Of arms under commands limits of the drives are searched first, and the
+   simulated motion must be better with each effect (`motion`).
 5. State each effect with the numbers of this fit: what the error is without it (`steps`), and
    which effects would do as well (`rivals`). These decide the name, not whether it is added.
 

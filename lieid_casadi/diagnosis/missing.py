@@ -11,14 +11,13 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.compiled import compile
-from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay
+from lieid_casadi.diagnosis.candidates import Candidate, is_delay
 from lieid_casadi.diagnosis.evidence import OTHER_JOINTS, Slot, undetermined
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.motion import UnseenMotion
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
-from lieid_casadi.diagnosis.rivals import represented
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round, search
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
@@ -272,16 +271,15 @@ class MissingEffects:
             fit, accepted = self._plausible(needed)
 
     def _with_other_forms(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
-        """Return the fit with another form of friction over speed in place of effects, if better.
+        """Return the fit with another form of friction, or of a delay, in place of effects.
 
         It is better if the cross-validated error is lower by what an effect must be worth; with
         fewer parameters, if it is not higher by as much.
         """
         for j in range(fit.model.n):
-            alike = [a for a in accepted if a.joint == j and follows_velocity(a.candidate.effect)]
-            for found in other_forms(alike, self.first.model):
-                others = [*(a for a in accepted if a not in alike), found]
-                fewer = found.candidate.parameters < sum(a.candidate.parameters for a in alike)
+            for found, replaced in other_forms(accepted, j, self.first.model):
+                others = [*(a for a in accepted if a not in replaced), found]
+                fewer = found.candidate.parameters < sum(a.candidate.parameters for a in replaced)
                 most = fit.rms_cv[j] * (1.0 - self.options.worth) ** (-1 if fewer else 1)
                 try:
                     other = self._fitted(others)
@@ -412,7 +410,6 @@ class MissingEffects:
                 self.rejected.pop(label, None)
             else:
                 self.rejected[label] = reason
-        new = represented(found, new)
         groups = [slot.group for slot in new]
         return [Accepted.of(found, slot, groups, accepted, self.options) for slot in new]
 

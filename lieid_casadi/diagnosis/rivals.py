@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,28 +60,6 @@ def rivals_of(
         stated = Rival(rival.label, rival.name, rival.joints, kind)
         rivals.append((worse, int(group), stated))
     return [(group, rival) for _, group, rival in sorted(rivals, key=lambda each: each[0])]
-
-
-def represented(found: Round, slots: Sequence[Slot]) -> list[Slot]:
-    """Return slots with a simpler group in a place where it is as good: parameters count.
-
-    The path does not compare what groups gain beside those that came later.
-    """
-    groups, cost = [slot.group for slot in slots], found.paths.columns.parameters
-    simplest: list[Slot] = []
-    for slot in slots:
-        others = [g for g in groups if g != slot.group]
-        near = [g for g, _ in rivals_of(found, slot, others, 0.0) if found.candidate(g).of_arm]
-        best = next((g for g in near if cost[g] < cost[slot.group]), slot.group)
-        kept = [*others, *(each.group for each in simplest)]
-        taken = found.candidate(best).label in {found.candidate(g).label for g in kept}
-        if taken or best == slot.group:
-            simplest.append(slot)
-            continue
-        own, new = (found.paths.outside(g) for g in (slot.group, best))
-        values = solved(new.T @ new, new.T @ (own @ slot.values))
-        simplest.append(replace(slot, group=best, values=values))
-    return simplest
 
 
 def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Array) -> list[int]:

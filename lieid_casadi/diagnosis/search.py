@@ -379,15 +379,20 @@ def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:
     """Return the candidates with finer grids around the path's groups and their rivals.
 
     Rivals are compared at their own best values: between two grid points a delay resembles a
-    filter. Columns that depend on their coefficients are evaluated at the estimate.
+    filter. Columns that depend on their coefficients are evaluated at the estimate without others
+    of this kind, beside which a delay may have any value.
     """
     columns, more = paths.columns, dict[int, list[Array]]()
     points = dict[int, set[int]]()
     complete = paths.state(-1)
     for group in whole:
         complete = complete.with_group(group)
+    delays = [g for g in whole if columns.candidate(g).by_estimate]
     for group in whole:
-        gains, values = complete.without(group).gains()
+        rest = complete
+        for each in delays if group in delays else [group]:
+            rest = rest.without(each)
+        gains, values = rest.gains()
         seen = set[int]()
         for g in map(int, np.argsort(-gains)):
             owner = int(columns.owner[g])
@@ -399,7 +404,7 @@ def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:
             effect = columns.owners[owner].effect
             if effect.shapes:
                 points.setdefault(owner, set()).add(int(columns.point[g]))
-            elif isinstance(effect, ArmEffect) and not effect.linear:
+            elif columns.owners[owner].by_estimate:
                 more.setdefault(owner, []).append(values[columns.of_group(g)])
     refined = list(columns.owners)
     for k, own in points.items():

@@ -9,7 +9,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import Comparison
-from lieid_casadi.diagnosis.candidates import Candidate, is_delay, is_form
+from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay, is_form
 from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -27,7 +27,7 @@ from lieid_casadi.diagnosis.step import (
     Step,
     Unexplained,
 )
-from lieid_casadi.effects import ArmEffect, Placement
+from lieid_casadi.effects import ArmEffect, Effect, Placement
 from lieid_casadi.effects.registry import usable
 from lieid_casadi.errors import LateFrictionWarning
 from lieid_casadi.identification import Fit
@@ -98,9 +98,11 @@ class Accepted:
             return "shape"
         return "one_of" if self.rivals or self.doubt else "named"
 
-    def replaced_by(self, form: Candidate, all_replaced: Sequence[Accepted]) -> Accepted:
-        """Return another form of the effect, in the place of several."""
-        rivals = tuple(rival for rival in self.rivals if rival.effect != form.name)
+    def replaced_by(self, effect: Effect, all_replaced: Sequence[Accepted]) -> Accepted:
+        """Return the same with another effect, in the place of several."""
+        place = Placement(effect, 0 if effect.whole_arm else self.joint)
+        form = Candidate(place, np.zeros((1, len(effect.shapes))))
+        rivals = tuple(rival for rival in self.rivals if rival.effect != effect.name)
         replaced = tuple(a.candidate for a in all_replaced)
         return replace(self, candidate=form, rivals=rivals, replaced=replaced)
 
@@ -426,19 +428,30 @@ def _difference(before: Array | None, after: Array | None, joint: int) -> float 
     return float(before[joint] - after[joint])
 
 
-def other_forms(alike: Sequence[Accepted], model: Model) -> list[Accepted]:
-    """Return the variants of friction over speed in the place of effects on one joint.
+def other_forms(
+    accepted: Sequence[Accepted], joint: int, model: Model
+) -> list[tuple[Accepted, list[Accepted]]]:
+    """Return effects that may be better than some on a joint, and those in whose place they are.
 
-    A variant of what is computed along the arm, as of a filter, takes the place of its kind only.
+    These are the variants of friction over speed for all of it, where a variant of what is computed
+    along the arm takes the place of its kind only, and for a delay its rivals: hysteresis, filters
+    and delays resemble each other between the points of their grids.
     """
-    found = []
-    for effect in usable(model.library)[0].values() if alike else ():
+    own, effects = [a for a in accepted if a.joint == joint], usable(model.library)[0]
+    alike, found = [a for a in own if follows_velocity(a.candidate.effect)], []
+    for effect in filter(is_form, effects.values()) if alike else ():
         same = [a for a in alike if a.candidate.name == effect.name]
-        if is_form(effect) and (same or not isinstance(effect, ArmEffect)):
-            own = [*same, *alike][0]
-            grid = np.zeros((1, len(effect.shapes)))
-            form = Candidate(Placement(effect, own.joint), grid)
-            found.append(own.replaced_by(form, alike))
+        if same or not isinstance(effect, ArmEffect):
+            found.append(([*same, *alike][0].replaced_by(effect, alike), alike))
+    for delay in own:
+        mine = delay.candidate
+        itself = Rival(mine.label, mine.name, mine.joints, "data")
+        for rival in delay.rivals if is_delay(mine.effect) else ():
+            other = effects.get(rival.label.partition(":")[0])
+            if other is not None and rival.joints == mine.joints:
+                form = delay.replaced_by(other, [delay])
+                beside = [a for a in accepted if a.placement.label == rival.label]
+                found.append((replace(form, rivals=(itself, *form.rivals)), [delay, *beside]))
     return found
 
 

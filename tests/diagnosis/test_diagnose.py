@@ -30,7 +30,7 @@ from lieid_casadi.diagnosis.missing import MissingEffects
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
-from lieid_casadi.diagnosis.step import Evidence
+from lieid_casadi.diagnosis.step import Evidence, Rival
 from lieid_casadi.diagnosis.steps import Accepted, beside_smooth_functions, other_forms
 from lieid_casadi.effects import Placement, make
 from lieid_casadi.effects.placement import place
@@ -611,6 +611,7 @@ def unchanged_fit():
         ("torque_gain", 1, 2.0, "torque_gain:2"),
         ("stribeck", 0, 2.0, "stribeck:1"),
         ("time_shift", 0, 0.7, "time_shift"),  # 14 ms, between values that are tried first
+        ("time_shift", 0, 1.5, "time_shift"),  # paths have a filter and an opposite delay as well
     ],
 )
 def test_a_change_is_named(name, joint, strength, label):
@@ -736,13 +737,36 @@ def test_a_joint_that_is_held_in_training_may_be_unexplained_in_the_test():
     assert (1, ()) in [(part.joint, part.depends_on) for part in diagnosis.unexplained]
 
 
+def accepted_as(label, *rivals):
+    (placement,) = place(label, ROBOT.n)
+    candidate = Candidate(placement, np.zeros((1, 1)))
+    evidence = Evidence((), (), 0.0, 0.0, 1.0, 1.0, 10)
+    return Accepted(candidate, np.zeros(1), 1, evidence, rivals, "", False)
+
+
 def test_a_filter_of_torque_is_no_form_of_friction_over_speed():
     def forms(label):
-        (placement,) = place(label, ROBOT.n)
-        evidence = Evidence((), (), 0.0, 0.0, 1.0, 1.0, 10)
-        candidate = Candidate(placement, np.zeros((1, 1)))
-        accepted = Accepted(candidate, np.zeros(1), 1, evidence, (), "", False)
-        return [each.placement.label for each in other_forms([accepted], MODEL)]
+        found = other_forms([accepted_as(label)], 1, MODEL)
+        return [each.placement.label for each, _ in found]
 
     assert forms("stribeck:2") == ["stribeck/exponent:2"]
     assert "torque_lowpass/second_order:2" in forms("torque_lowpass:2")
+
+
+def test_a_rival_of_a_delay_may_take_its_place_and_leaves_it_as_a_rival():
+    hysteresis = Rival("presliding:2", "presliding", (1,), "data")
+    shift = Rival("time_shift", "time_shift", (), "data")
+    found = [
+        accepted_as("torque_delay:2", hysteresis, shift),
+        accepted_as("torque_lowpass/common", shift),
+        accepted_as("time_shift"),
+        accepted_as("load_friction:2", hysteresis),
+    ]
+    forms = {
+        (form.placement.label, form.placement.joint): (form, [each.placement.label for each in of])
+        for form, of in other_forms(found, 1, MODEL)
+    }
+    form, replaced = forms["presliding:2", 1]
+    assert replaced == ["torque_delay:2"]
+    assert [rival.label for rival in form.rivals] == ["torque_delay:2", "time_shift"]
+    assert forms["time_shift", 0][1] == ["torque_lowpass/common", "time_shift"]  # not twice

@@ -1,7 +1,7 @@
-"""Missing effects of a UR10e: what several joints have is searched on the others."""
+"""Missing effects of real arms: by what the search alone does not find."""
 
 import pytest
-from real_arms import UR10E, needs
+from real_arms import FINGERS, PANDA, UR10E, needs
 
 import lieid_casadi as lieid
 from lieid_casadi.recording import Processing
@@ -23,3 +23,19 @@ def test_presliding_of_most_joints_is_found_on_the_wrist_of_a_short_recording():
     (wrist,) = [s for s in diagnosis.steps if (s.effect, s.joint) == ("presliding", 5)]
     assert wrist.confirmed
     assert wrist.fall.test > 0.04  # N·m
+
+
+@pytest.mark.slow
+@needs(PANDA / "panda.urdf")
+@pytest.mark.filterwarnings("ignore::lieid_casadi.errors.LieidWarning")  # 13 s are short
+def test_hysteresis_that_resembles_a_filter_is_found_by_the_fit():
+    robot = lieid.Robot.from_urdf(PANDA / "panda.urdf", lock=FINGERS)
+    train, test = (
+        lieid.Recording.load(f"{PANDA}/excitation.csv.gz@{part}") for part in ("0:13", "15.6:")
+    )
+    model = lieid.Model(robot, "coulomb,viscous,offset")
+    diagnosis = lieid.diagnose(model, train, test, processing=Processing(cutoff=3.0))
+    (wrist,) = [step for step in diagnosis.steps if step.joint == 6]
+    assert (wrist.effect, wrist.status) == ("presliding", "one_of")
+    assert "torque_lowpass" in {rival.effect for rival in wrist.rivals}
+    assert wrist.fall.test > 0.15 * diagnosis.baseline["rms_test_moving"][6]

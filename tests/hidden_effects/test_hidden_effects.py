@@ -59,6 +59,14 @@ def test_a_base_that_is_tilted_in_one_recording_gives_no_effect_of_the_arm():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("size", ["5x", "1x"])
+def test_a_delay_is_told_from_a_filter_by_the_fit(size):
+    """On the grids of a search a filter resembles it more; of 1x the search finds both."""
+    (step,) = scored(f"missing-single-time_shift-{size}-100")["steps"]
+    assert step["effect"] == "time_shift"
+
+
+@pytest.mark.slow
 def test_command_line_and_python_agree():
     name = STRONG[0]
     by_python, by_command = scored(name), scored(name, by_command=True)
