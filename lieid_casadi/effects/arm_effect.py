@@ -68,6 +68,12 @@ class SegmentModel(Protocol):
     def command(self) -> Array | None:
         """Commanded position (K, n), rad, None without commands."""
 
+    def held_command(self, joint: int, delay: float, hold: float, *, parts: int = 1) -> Array:
+        """Return the commands (parts, K) of a joint that arrive late and are held for a time, s.
+
+        They are the means over parts of that time, whose middle is late by ``delay``, s.
+        """
+
     @property
     def hold(self) -> float:
         """Interval between rows of the recording, for which a command is held, s."""

@@ -1,8 +1,5 @@
 """Commands that reach the drive late."""
 
-import numpy as np
-from scipy.interpolate import CubicSpline
-
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
@@ -16,22 +13,6 @@ BUS, BUS_SPREAD = 0.005, 0.02  # s, what bus and drive add to the hold of a comm
 def known_delay(rate: float, drive: Drive | None, torque: float) -> tuple[float, float]:
     """Return mean and standard deviation of a delay, s, of commands that are held at a rate, Hz."""
     return 0.5 / rate + BUS, BUS_SPREAD
-
-
-def held_and_late(t: Array, command: Array, delay: float, hold: float) -> Array:
-    """Return commands (K,) that are held for a time, s, as their mean over it is late by a delay.
-
-    Below half of the rate, a signal that is held from sample to sample is the mean of the smooth
-    one over the time before: interpolating the samples between two rows would make it smaller.
-    """
-    spline = CubicSpline(t, command).antiderivative()
-
-    def integral(at: Array) -> Array:
-        inside = np.clip(at, t[0], t[-1])
-        return np.asarray(spline(inside) + (at - inside) * np.where(at < t[0], *command[[0, -1]]))
-
-    ends = (integral(t - delay + 0.5 * side * hold) for side in (1.0, -1.0))
-    return np.asarray(np.subtract(*ends) / hold)
 
 
 def held_for(delay: float, hold: float) -> float:
@@ -75,11 +56,8 @@ class CommandDelay(ArmEffect):
         assert arm.command is not None  # checked before identification
         assert arm.drives is not None
         q, dq, law = arm.motion[0][:, joint], arm.motion[1][:, joint], arm.drives[joint]
-        command, delay = arm.command[:, joint], max(float(values[0]), LEAST)
-        part = held_for(delay, arm.hold) / PARTS
-        late = [
-            law.torque(held_and_late(arm.t, command, delay + k * part, part) - q, dq)
-            for k in np.arange(PARTS) - 0.5 * (PARTS - 1)
-        ]
-        change = law.torque(command - q, dq) - np.mean(late, axis=0)
+        delay = max(float(values[0]), LEAST)
+        held = arm.held_command(joint, delay, held_for(delay, arm.hold), parts=PARTS)
+        late = law.torque(held - q, dq)
+        change = law.torque(arm.command[:, joint] - q, dq) - late.mean(axis=0)
         return on_joint(change / delay, joint, arm.load.shape[1])

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline, PPoly
 from scipy.ndimage import binary_opening, maximum_filter1d
 
 from lieid_casadi.arrays import Array, Mask
@@ -104,6 +105,26 @@ class Processed:
             return error
         columns = [x.effective_error(error[:, j], self.dq[:, j]) for j, x in enumerate(laws)]
         return np.stack(columns, axis=1)
+
+    def held_command(self, joint: int, delay: float, hold: float, *, parts: int = 1) -> Array:
+        """Return the commands (parts, K) of a joint that arrive late and are held for a time, s.
+
+        They are the means over parts of that time, whose middle is late by ``delay``, s. Below half
+        of the rate, a signal that is held from sample to sample is the mean of the smooth one over
+        the time before: interpolating the samples between two rows would make it smaller.
+        """
+        assert self.command is not None
+        edges = self.t - delay + hold * np.linspace(0.5, -0.5, parts + 1)[:, None]
+        inside = np.clip(edges, self.t[0], self.t[-1])
+        ends = np.where(edges < self.t[0], *self.command[[0, -1], joint])
+        integral = self._command_integrals[joint](inside) + (edges - inside) * ends
+        return np.asarray(-np.diff(integral, axis=0) * parts / hold)
+
+    @cached_property
+    def _command_integrals(self) -> list[PPoly]:
+        """The integral of the commands of each joint (n) over time, rad·s."""
+        assert self.command is not None
+        return [CubicSpline(self.t, own).antiderivative() for own in self.command.T]
 
     @cached_property
     def by_law(self) -> Mask:

@@ -19,7 +19,6 @@ from lieid_casadi.diagnosis.result import motion_table
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.step import MotionGain
 from lieid_casadi.effects.backlash import place_in_play
-from lieid_casadi.effects.command_delay import held_and_late
 from lieid_casadi.effects.registry import make
 from lieid_casadi.errors import BoundWarning, DriveLimitWarning, EffectError, NoSolution
 from lieid_casadi.identification.identify import default_effects
@@ -46,7 +45,7 @@ def delayed(recording, joint=1):
 
 
 @pytest.mark.parametrize("late", [0.0, 0.013])
-def test_held_commands_are_those_of_a_staircase(late):
+def test_held_commands_are_those_of_a_staircase(runs, late):
     """The staircase, low-passed as a continuous signal, at the rows of a 50 Hz recording."""
     hold, fine = 0.02, 40
     t = np.arange(0.0, 12.0, hold / fine)
@@ -55,7 +54,12 @@ def test_held_commands_are_those_of_a_staircase(late):
     rows = [np.maximum(np.floor((t - late) / hold + e).astype(int), 0) for e in (1e-6, -1e-6)]
     stairs = 0.5 * (command[rows[0]] + command[rows[1]])
     acting = lowpass(stairs[:, None], 1.0 / (t[1] - t[0]), 8.0)[::fine, 0]
-    found = held_and_late(t[::fine], command, 0.5 * hold + late, hold)
+    segment = replace(process([runs[0]], CUTOFF)[0], t=t[::fine], command=command[:, None])
+    found = segment.held_command(0, 0.5 * hold + late, hold)[0]
+    parts = segment.held_command(0, 0.5 * hold + late, hold, parts=3)
+    np.testing.assert_allclose(parts.mean(axis=0), found, atol=1e-12)
+    middle = segment.held_command(0, 0.5 * hold + late, hold / 3)[0]
+    np.testing.assert_allclose(parts[1], middle, atol=1e-12)
     straight = np.interp(t[::fine] - 0.5 * hold - late, t[::fine], command)
     inner = slice(50, -50)
     errors = [

@@ -14,7 +14,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.arm_effect import ArmEffect
-from lieid_casadi.effects.command_delay import CommandDelay, held_and_late, held_for
+from lieid_casadi.effects.command_delay import CommandDelay, held_for
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.expressions.effect_function import EffectFunction, sign_of
 from lieid_casadi.model import Model, Slot
@@ -90,6 +90,10 @@ class ModelAlongSegment:
         """Commanded position (K, n), rad, None without commands."""
         return self.segment.command
 
+    def held_command(self, joint: int, delay: float, hold: float, *, parts: int = 1) -> Array:
+        """Return the commands (parts, K) of a joint that arrive late and are held for a time, s."""
+        return self.segment.held_command(joint, delay, hold, parts=parts)
+
     @property
     def hold(self) -> float:
         """Interval between rows of the recording, for which a command is held, s."""
@@ -117,9 +121,8 @@ class ModelAlongSegment:
         late = command.copy()
         for column, value in zip(self.compiled.model.columns, self.coefficients, strict=True):
             if column.name == f"{CommandDelay.name}.delta" and value > 0.0:
-                own, delay = command[:, column.joint], float(value)
-                hold = held_for(delay, self.hold)
-                late[:, column.joint] = held_and_late(self.t, own, delay, hold)
+                j, delay = column.joint, float(value)
+                late[:, j] = self.held_command(j, delay, held_for(delay, self.hold))[0]
         return replace(self.segment, command=late).command_error
 
     @property
