@@ -1,9 +1,10 @@
 """How the results of the diagnosis move when each of its options is halved and doubled.
 
-    python tests/benchmarks/diagnosis_thresholds.py [--cases 30] [--options NAME…] [--jobs N]
+    python tests/benchmarks/diagnosis_thresholds.py [--mode changed] [--cases 30] [--options NAME…]
 
 The cases are those of the tune half of the benchmark of hidden effects, in the proportions of
-single effects, arms without hidden effects, and effects outside the library of 3:2:1. The table has
+single effects, arms without hidden effects, and effects outside the library of 3:2:1: effects that
+a model lacks or, with ``--mode changed``, that changed since a fit. The table has
 the correct results of each kind with the default options and with each numeric field of
 ``DiagnosisOptions`` halved and doubled. Results are kept in a JSON Lines file, so that an
 interrupted run continues.
@@ -28,9 +29,8 @@ sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 from hidden_effects.generator import Unreachable  # noqa: E402
 from hidden_effects.run import GENERATING, fingerprint  # noqa: E402
 from hidden_effects.schedule import chosen, varied  # noqa: E402
-from hidden_effects.score import files_of, recordings, score_result  # noqa: E402
+from hidden_effects.score import files_of, run_diagnosis, score_result  # noqa: E402
 
-import lieid_casadi as lieid  # noqa: E402
 from lieid_casadi.diagnosis import DiagnosisOptions  # noqa: E402
 
 FACTORS = (0.5, 2.0)
@@ -52,21 +52,14 @@ def scaled(value, factor):
     return max(1, round(value * factor)) if isinstance(value, int) else value * factor
 
 
-def cases(count):
-    """Return the cases, those of all kinds mixed."""
+def cases(count, mode):
+    """Return the cases of a mode, those of all kinds mixed."""
     found = []
     for kinds, share in zip(KINDS.values(), (3, 2, 1), strict=True):
-        own = chosen(modes=["missing"], kinds=kinds, sizes=[5.0, 2.0, 1.0, 0.0], series=[2])
+        own = chosen(modes=[mode], kinds=kinds, sizes=[5.0, 2.0, 1.0, 0.0], series=[2])
         part = count * share // 6
         found += [(case, (k + 0.5) / part) for k, case in enumerate(varied(own)[:part])]
     return [case for case, _ in sorted(found, key=lambda pair: pair[1])]
-
-
-def diagnosed(folder, options):
-    robot = lieid.Robot.load(next(iter(sorted(folder.glob("robot.*")))))
-    model = lieid.Model(robot, "coulomb,viscous,offset")
-    train, _ = recordings(folder)  # the test chooses nothing
-    return lieid.diagnose(model, [lieid.Recording.load(file) for file in train], options=options)
 
 
 def diagnose_case(case, variants, cache):
@@ -82,7 +75,7 @@ def diagnose_case(case, variants, cache):
         except Unreachable:
             return rows
         for name, options in variants.items():
-            found = json.loads(json.dumps(diagnosed(folder, options).to_dict()))
+            found, _ = run_diagnosis(folder, options)
             score = score_result(case, truth, found)
             right = {
                 "single": score.get("right_first_in_set"),
@@ -155,6 +148,7 @@ def main():
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     options = numeric_options()
+    parser.add_argument("--mode", choices=("missing", "changed"), default="missing")
     parser.add_argument("--cases", type=int, default=30)
     parser.add_argument("--options", nargs="+", choices=options, default=list(options))
     parser.add_argument("--results", type=Path, default=Path("build/diagnosis_thresholds.jsonl"))
@@ -166,7 +160,7 @@ def main():
             value = scaled(options[name], factor)
             if value != options[name]:
                 variants[f"`{name}` = {value:g}"] = replace(DiagnosisOptions(), **{name: value})
-    rows = run(cases(args.cases), variants, args.results, args.jobs)
+    rows = run(cases(args.cases, args.mode), variants, args.results, args.jobs)
     sys.stdout.write(table(rows, variants) + "\n")
     return 0
 

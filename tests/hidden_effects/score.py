@@ -31,26 +31,23 @@ def files_of(case: Case, folder: Path, cache: Path | None) -> dict[str, Any]:
     return dict(json.loads((stored / "truth.json").read_text("utf-8")))
 
 
-def run_diagnosis(folder: Path, *, by_command: bool = False) -> tuple[dict[str, Any], Any]:
-    """Return the result of ``lieid diagnose`` for the files of a folder, and the last fit."""
-    return _by_command(folder) if by_command else _by_python(folder)
-
-
-def _by_python(folder: Path) -> tuple[dict[str, Any], Any]:
+def run_diagnosis(folder: Path, options: Any = None) -> tuple[dict[str, Any], Any]:
+    """Return the result of ``diagnose`` for the files of a folder, and the last fit."""
     from lieid_casadi import Model, Recording, Robot, identify
     from lieid_casadi.diagnosis import diagnose
 
     model = Model(Robot.load(_robot(folder)), effects=PLAIN)
     if (folder / "before.csv").exists():
         fit = identify(model, Recording.load(folder / "before.csv"))
-        diagnosis = diagnose(fit, Recording.load(folder / "after.csv"))
+        diagnosis = diagnose(fit, Recording.load(folder / "after.csv"), options=options)
     else:
         train, tests = (list(map(Recording.load, files)) for files in recordings(folder))
-        diagnosis = diagnose(model, train, *tests)
+        diagnosis = diagnose(model, train, *tests, options=options)
     return json.loads(json.dumps(diagnosis.to_dict())), diagnosis.fit
 
 
-def _by_command(folder: Path) -> tuple[dict[str, Any], Any]:
+def run_command(folder: Path) -> tuple[dict[str, Any], Any]:
+    """Return the result of ``lieid diagnose`` for the files of a folder, and the last fit."""
     from lieid_casadi.cli.main import main
     from lieid_casadi.identification import Fit
 
@@ -98,7 +95,7 @@ def run_case(
             return {"case": case.name, "skipped": str(problem)}
         begin = time.process_time()
         try:
-            found, fit = run_diagnosis(folder, by_command=by_command)
+            found, fit = (run_command if by_command else run_diagnosis)(folder)
         except Exception as problem:  # noqa: BLE001 - every error counts as a failure
             return score_result(case, truth, None) | {
                 "error": f"{type(problem).__name__}: {problem}"

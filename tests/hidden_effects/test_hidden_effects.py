@@ -78,12 +78,12 @@ def test_command_line_and_python_agree():
 @pytest.mark.parametrize(
     ("rate", "wanted", "limit"),
     [
-        (0.95, {"modes": ["missing"], "kinds": ["single"], "sizes": [5.0, 2.0, 1.0]}, 8),
-        (0.85, {"modes": ["missing"], "kinds": ["pair"]}, 4),
-        (0.95, {"modes": ["missing"], "kinds": ["none"]}, 8),
-        (0.90, {"modes": ["missing"], "kinds": ["foreign"]}, 5),
-        (0.90, {"kinds": ["form"]}, 5),
-        (0.95, {"kinds": ["world"]}, 6),
+        (0.95, {"modes": ["missing"], "kinds": ["single"], "sizes": [5.0, 2.0, 1.0]}, 6),
+        (0.85, {"modes": ["missing"], "kinds": ["pair"]}, 3),
+        (0.95, {"modes": ["missing"], "kinds": ["none"]}, 5),
+        (0.90, {"modes": ["missing"], "kinds": ["foreign"]}, 3),
+        (0.90, {"kinds": ["form"]}, 3),
+        (0.95, {"kinds": ["world"]}, 4),
         (0.95, {"modes": ["changed"], "kinds": ["single"], "sizes": [5.0, 2.0, 1.0]}, 3),
         (0.95, {"modes": ["changed"], "kinds": ["none"]}, 3),
     ],
