@@ -1,12 +1,15 @@
 """The table of real arms: what a diagnosis finds, and the error on recordings that it did not see.
 
     python tests/benchmarks/real_arms.py [--arms NAME…] [--forward] [--json FILE] [--record FILE]
+    python tests/benchmarks/real_arms.py --further [--record FILE] [--best FILE]
 
 It needs the recordings that ``LIEID_RECORDINGS`` names (see tests/real_arms.py; tests of the suite
 read all of them) and prints a Markdown table: RMS errors of samples in motion, N·m, of the plain
 fit, of the diagnosed model, and of the version of this program with the lowest error so far
-(``real_arms_best.json``; ``--record`` adds this run to such a file): the geometric mean over the
-joints counts. Two references are
+(``real_arms_best.json``; ``--record`` adds this run to such a file, ``--best`` reads another one):
+the geometric mean over the joints counts. One effect more or less moves a row by more than
+versions differ; ``--further`` has other cut-offs and stretches, to compare two versions by their
+mean. Two references are
 made without a diagnosis: friction effects on every joint at once and, with ``--forward``, a
 selection by the cross-validated error alone, which tries every effect on every joint in turn.
 The processor time of a diagnosis is given in multiples of a fixed loop of linear algebra, since
@@ -18,7 +21,8 @@ import json
 import sys
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +82,20 @@ ARMS = {
                 {"every third block": blocks(2, 1)}, 20.0, True, trim=0.05),
     "panda": panda("15.6 s", 15.6),
     "panda_13s": panda("13 s", 13.0),
+}  # fmt: skip
+#: Rows by which versions are compared: other cut-offs, and other stretches of the recordings.
+FURTHER = {
+    f"{key}, {factor:g} × cut-off": replace(
+        ARMS[key], name=f"{ARMS[key].name}, {factor:g} × cut-off", cutoff=factor * ARMS[key].cutoff
+    )
+    for key, factor in product(("ur10e", "ur10e_30s", "ur10e_16s", "panda", "panda_13s"),
+                               (0.7, 1.4, 2.0))
+} | {
+    "ur10e, 14 to 30 s": ur10e("14 to 30 s", ("excitation_30s.csv.gz@14:",), OTHERS),
+    "ur10e, first half": ur10e("0 to 25 of 50 s", ("excitation_50s.csv.gz@0:25",), OTHERS[1:]),
+    "ur10e, second half": ur10e("25 to 50 s", ("excitation_50s.csv.gz@25:",), OTHERS[1:]),
+    "panda, last": replace(panda("8.4 to 24 s", 15.6), train=("excitation.csv.gz@8.4:",),
+                           tests={"0 to 8.4 s": ("excitation.csv.gz@0:8.4",)}),
 }  # fmt: skip
 
 
@@ -147,7 +165,7 @@ def forward_selection(task, most=8):
 
 def measured(key, *, forward=False):
     """Return one row for each test of an arm."""
-    task = Task(ARMS[key])
+    task = Task((ARMS | FURTHER)[key])
     task.fitted(task.model)  # compiled code is generated once
     plain, plain_seconds = timed(lambda: task.fitted(task.model))
     found, seconds = timed(
@@ -188,11 +206,6 @@ def measured(key, *, forward=False):
     ]  # fmt: skip
 
 
-def load_best():
-    """Return the recorded runs: of arm, test and version, the errors of the diagnosed model."""
-    return json.loads(BEST.read_text("utf-8")) if BEST.exists() else []
-
-
 def best_version(runs, row):
     """Return the errors of the recorded version that was best on a row; None without any."""
     own = [r["after"] for r in runs if (r["arm"], r["test"]) == (row["arm"], row["test"])]
@@ -214,7 +227,8 @@ def printed(row, runs):
     if best is not None:
         ratio = f"{whole(row['after'], best):.2f} ({numbers(np.array(row['after']) / best)})"
     return (
-        f"| {ARMS[row['arm']].name}, {row['test']} | {', '.join(row['effects']) or 'none'} "
+        f"| {(ARMS | FURTHER)[row['arm']].name}, {row['test']} "
+        f"| {', '.join(row['effects']) or 'none'} "
         f"({row['verdict']}) | {numbers(row['before'])} | {numbers(row['after'])} "
         f"| {whole(row['after'], row['before']):.2f} | {numbers(best)} | {ratio} "
         f"| {numbers(row['friction'])} | {numbers(row['noise_floor'])} "
@@ -232,6 +246,8 @@ def main():
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS))
+    parser.add_argument("--further", action="store_true", help="the rows by which versions compare")
+    parser.add_argument("--best", type=Path, default=BEST, metavar="FILE", help="recorded runs")
     parser.add_argument("--forward", action="store_true", help="minutes for each arm")
     parser.add_argument("--json", type=Path, metavar="FILE", help="all rows")
     parser.add_argument("--record", type=Path, metavar="FILE", help="add this run to these")
@@ -244,8 +260,8 @@ def main():
         "| processor, to the loop, to `identify` |\n"
         + "| --- " * 10 + "|"
     )  # fmt: skip
-    rows, runs = [], load_best()
-    for key in args.arms:
+    rows, runs = [], json.loads(args.best.read_text("utf-8"))
+    for key in FURTHER if args.further else args.arms:
         own = measured(key, forward=args.forward)
         rows += own
         for row in own:
@@ -253,6 +269,10 @@ def main():
             if row["forward"]:
                 show(f"<!-- forward selection by rms_cv: {numbers(row['forward'])}: "
                      f"{', '.join(row['forward_effects'])} -->")  # fmt: skip
+    every = [(r, best) for r in rows if (best := best_version(runs, r)) is not None]
+    ratios = [whole(r["after"], best) for r, best in every]
+    if ratios:
+        show(f"\n{len(ratios)} rows: {np.exp(np.mean(np.log(ratios))):.3f} of the best on average")
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1), "utf-8")
     if args.record:
