@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations, solved
 from lieid_casadi.diagnosis.folds import redundancy
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.path import Span
+from lieid_casadi.diagnosis.path import PathState, Span
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import Round, search
@@ -183,9 +184,7 @@ def _reason(
 ) -> str | None:
     """Return why a change is left out, or None."""
     candidate, slot = change.candidate, change.slot
-    reason = reason_against(
-        candidate, found.paths.columns.shapes(slot.group), change.values, found.rows.segments
-    )
+    reason = reason_against(candidate, *_best(found, changes, change), found.rows.segments)
     if reason is not None:
         return reason
     others = _fitted(found, [c.slot for c in changes if c is not change], noise)
@@ -199,6 +198,18 @@ def _reason(
     part = len(changes) / sum(c.of_arm for c in found.paths.columns.owners)
     uncertain = undetermined(slot.certainty, change.deviations, part, options)
     return None if uncertain is None else uncertain[0]
+
+
+def _best(found: Round, changes: Sequence[_Change], change: _Change) -> tuple[Array, Array]:
+    """Return the shapes and coefficients with which a change explains most beside the others.
+
+    A path takes the best ones that are plausible; a fit would go on beyond them.
+    """
+    columns, others = found.paths.columns, (c.slot.group for c in changes if c is not change)
+    own = columns.owner == columns.owner[change.slot.group]
+    gains, values = reduce(PathState.with_group, others, found.paths.state(-1)).gains(own)
+    best = int(np.argmax(np.where(own, gains, -1.0)))
+    return columns.shapes(best), values[columns.of_group(best)]
 
 
 def _fitted(found: Round, slots: Sequence[Slot], noise: Sequence[Noise]) -> list[_Change]:

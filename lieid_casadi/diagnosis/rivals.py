@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature
 from lieid_casadi.diagnosis.evidence import ALIKE, Slot, part_of, solved
 from lieid_casadi.diagnosis.gates import reason_against
+from lieid_casadi.diagnosis.path import PathState
 from lieid_casadi.diagnosis.search import SMOOTH, Round
 from lieid_casadi.diagnosis.smooth_functions import own_signals
 from lieid_casadi.diagnosis.step import Rival
@@ -34,10 +36,7 @@ def rivals_of(
     library if a path would choose it in its place.
     """
     paths, columns = found.paths, found.paths.columns
-    state = paths.state(-1)
-    for group in others:
-        state = state.with_group(group)
-    gains, values = state.gains()
+    gains, values = reduce(PathState.with_group, others, paths.state(-1)).gains()
     net = gains - found.penalty
     candidate = columns.candidate(slot.group)
     torque = paths.outside(slot.group) @ slot.values

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import partial, reduce
+from itertools import accumulate
 from operator import attrgetter
 
 import numpy as np
@@ -18,7 +19,7 @@ from lieid_casadi.diagnosis.evidence import Slot, gains_of, judge, solved
 from lieid_casadi.diagnosis.folds import Folds, folds_of
 from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
+from lieid_casadi.diagnosis.path import Paths, PathState, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import functions_alike, smooth_candidates
 from lieid_casadi.effects import ArmEffect
@@ -217,9 +218,7 @@ def _promising(paths: Paths, chosen: Sequence[Sequence[int]], rules: Rules) -> N
     """
     largest = np.zeros(len(rules.usable))
     for path in chosen:
-        states = [paths.state(-1)]
-        for group in path:
-            states.append(states[-1].with_group(group))
+        states = list(accumulate(path, PathState.with_group, initial=paths.state(-1)))
         states += [states[-1].without(group) for group in path]
         largest = np.max([largest, *(state.gains(rules.usable)[0] for state in states)], axis=0)
     owner, own = paths.columns.owner, [g for path in chosen for g in path]
@@ -359,20 +358,12 @@ def _alternatives(rows: Rows, candidate: Candidate) -> int:
     return len(rows.runs) - 1 if candidate.effect.couples else 1
 
 
-def residual_beside(paths: Paths, groups: Sequence[int]) -> Array:
-    """Return the weighted residual of all rows beside some groups."""
-    span = paths.span
-    if not groups:
-        return span.residual
-    outside = np.hstack(paths.all_outside(groups))
-    values = solved(outside.T @ outside, outside.T @ span.residual)
-    return np.asarray(span.residual - outside @ values)
-
-
 def _residual_beside(paths: Paths, groups: Sequence[int], rows: Rows, spread: Array) -> list[Array]:
     """Return the residual of each joint beside the groups of a path, N·m."""
-    rest = residual_beside(paths, groups)
-    return [rest[paths.span.joint(j)] / w for j, w in enumerate(rows.weights(spread))]
+    span, weights = paths.span, rows.weights(spread)
+    outside = np.hstack([np.zeros((len(span.residual), 0)), *paths.all_outside(groups)])
+    rest = span.residual - outside @ solved(outside.T @ outside, outside.T @ span.residual)
+    return [rest[span.joint(j)] / weight for j, weight in enumerate(weights)]
 
 
 def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:
@@ -384,9 +375,7 @@ def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:
     """
     columns, more = paths.columns, dict[int, list[Array]]()
     points = dict[int, set[int]]()
-    complete = paths.state(-1)
-    for group in whole:
-        complete = complete.with_group(group)
+    complete = reduce(PathState.with_group, whole, paths.state(-1))
     delays = [g for g in whole if columns.candidate(g).by_estimate]
     for group in whole:
         rest = complete

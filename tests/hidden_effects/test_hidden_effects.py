@@ -67,6 +67,13 @@ def test_a_delay_is_told_from_a_filter_by_the_fit(size):
 
 
 @pytest.mark.slow
+def test_a_change_whose_best_shape_is_refused_is_none():
+    """Narrower and narrower hysteresis of two joints explains more: it is none."""
+    found = scored("changed-single-viscous_polynomial-5x-100")
+    assert [(s["effect"], s["joints"]) for s in found["steps"]] == [("viscous_polynomial", [6])]
+
+
+@pytest.mark.slow
 def test_command_line_and_python_agree():
     name = STRONG[0]
     by_python, by_command = scored(name), scored(name, by_command=True)
