@@ -184,7 +184,7 @@ def _reason(
 ) -> str | None:
     """Return why a change is left out, or None."""
     candidate, slot = change.candidate, change.slot
-    reason = reason_against(candidate, *_best(found, changes, change), found.rows.segments)
+    reason = reason_against(candidate, *_at_best_shape(found, changes, change), found.rows.segments)
     if reason is not None:
         return reason
     others = _fitted(found, [c.slot for c in changes if c is not change], noise)
@@ -200,7 +200,9 @@ def _reason(
     return None if uncertain is None else uncertain[0]
 
 
-def _best(found: Round, changes: Sequence[_Change], change: _Change) -> tuple[Array, Array]:
+def _at_best_shape(
+    found: Round, changes: Sequence[_Change], change: _Change
+) -> tuple[Array, Array]:
     """Return the shapes and coefficients with which a change explains most beside the others.
 
     A path takes the best ones that are plausible; a fit would go on beyond them.
