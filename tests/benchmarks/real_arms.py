@@ -9,10 +9,9 @@ fit, of the diagnosed model, and of the version of this program with the lowest 
 (``real_arms_best.json``; ``--record`` adds this run to such a file, ``--best`` reads another one):
 the geometric mean over the joints counts. One effect more or less moves a row by more than
 versions differ; ``--further`` has other cut-offs and stretches, to compare two versions by their
-mean. Two references are
-made without a diagnosis: friction effects on every joint at once and, with ``--forward``, a
-selection by the cross-validated error alone, which tries every effect on every joint in turn.
-The processor time of a diagnosis is given in multiples of a fixed loop of linear algebra, since
+mean. Two references are made without a diagnosis: friction effects on every joint at once and,
+with ``--forward``, a selection by the cross-validated error alone, which tries every effect on
+every joint in turn. The processor time of a diagnosis is given in multiples of a fixed loop of linear algebra, since
 machines differ, and of an identification of the same model.
 """
 
