@@ -11,8 +11,8 @@ the geometric mean over the joints counts. One effect more or less moves a row b
 versions differ; ``--further`` has other cut-offs and stretches, to compare two versions by their
 mean. Two references are made without a diagnosis: friction effects on every joint at once and,
 with ``--forward``, a selection by the cross-validated error alone, which tries every effect on
-every joint in turn. The processor time of a diagnosis is given in multiples of a fixed loop of linear algebra, since
-machines differ, and of an identification of the same model.
+every joint in turn. The processor time of a diagnosis is given in multiples of a fixed loop of
+linear algebra, since machines differ, and of an identification of the same model.
 """
 
 import argparse
