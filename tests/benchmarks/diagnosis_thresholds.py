@@ -6,8 +6,8 @@ The cases are those of the tune half of the benchmark of hidden effects, in the 
 single effects, arms without hidden effects, and effects outside the library of 3:2:1: effects that
 a model lacks or, with ``--mode changed``, that changed since a fit. The table has
 the correct results of each kind with the default options and with each numeric field of
-``DiagnosisOptions`` halved and doubled. Results are kept in a JSON Lines file, so that an
-interrupted run continues.
+``DiagnosisOptions`` halved and doubled, and how many cases have other steps, and another verdict,
+than with the defaults. Results are kept in a JSON Lines file, so that an interrupted run continues.
 """
 
 import argparse
@@ -87,6 +87,7 @@ def diagnose_case(case, variants, cache):
                 {
                     "case": case.name, "kind": kind, "variant": name, "right": right[kind],
                     "named_wrongly": score["named_wrongly"],
+                    "verdict": score["verdict"],
                     "result": [[s["effect"], s["joints"], s["status"]] for s in score["steps"]],
                 }
             )  # fmt: skip
@@ -125,11 +126,11 @@ def table(rows, variants):
     """Return the table as Markdown; only cases that all variants have are counted."""
     counts = Counter(row["case"] for row in rows if row["variant"] in variants)
     complete = {case for case, count in counts.items() if count == len(variants)}
-    default = {r["case"]: r["result"] for r in rows if r["variant"] == "default"}
+    default = {r["case"]: r for r in rows if r["variant"] == "default"}
     lines = [
         "| option | single right first or in the set | nothing hidden: no name, no shape "
-        "| outside the library right | named wrongly | results that differ |",
-        "| --- " * 6 + "|",
+        "| outside the library right | named wrongly | steps that differ | verdicts |",
+        "| --- " * 7 + "|",
     ]
     for name in variants:
         own = [r for r in rows if r["variant"] == name and r["case"] in complete]
@@ -138,7 +139,10 @@ def table(rows, variants):
             of_kind = [r["right"] for r in own if r["kind"] == kind]
             cells.append(f"{sum(of_kind)}/{len(of_kind)}")
         cells.append(f"{sum(r['named_wrongly'] for r in own)}/{len(own)}")
-        cells.append(str(sum(r["result"] != default[r["case"]] for r in own)))
+        cells += [
+            str(sum(r[key] != default[r["case"]][key] for r in own))
+            for key in ("result", "verdict")
+        ]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
