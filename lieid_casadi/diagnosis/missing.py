@@ -261,14 +261,15 @@ class MissingEffects:
             found = kept
 
     def _final(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
-        """Return the fit with all effects that the final model needs, and these effects."""
+        """Return the fit with the effects that it needs; those that one replaced may return."""
         fit, accepted = self._with_other_forms(fit, accepted)
         while True:
             fit = self._complete(accepted)
             needed = self._needed(fit, accepted)
             if len(needed) == len(accepted):
                 return fit, accepted
-            fit, accepted = self._plausible(needed)
+            returning = [r for a in accepted if a not in needed for r in a.replaced]
+            fit, accepted = self._plausible([*needed, *returning])
 
     def _with_other_forms(self, fit: Fit, accepted: list[Accepted]) -> tuple[Fit, list[Accepted]]:
         """Return the fit with another form of friction, or of a delay, in place of effects.

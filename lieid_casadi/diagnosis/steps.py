@@ -54,7 +54,7 @@ class Accepted:
     rivals: tuple[Rival, ...]
     doubt: Doubt
     beside_smooth: bool
-    replaced: tuple[Candidate, ...] = ()
+    replaced: tuple[Accepted, ...] = ()
 
     @classmethod
     def of(
@@ -103,8 +103,7 @@ class Accepted:
         place = Placement(effect, 0 if effect.whole_arm else self.joint)
         form = Candidate(place, np.zeros((1, len(effect.shapes))))
         rivals = tuple(rival for rival in self.rivals if rival.effect != effect.name)
-        replaced = tuple(a.candidate for a in all_replaced)
-        return replace(self, candidate=form, rivals=rivals, replaced=replaced)
+        return replace(self, candidate=form, rivals=rivals, replaced=tuple(all_replaced))
 
     @property
     def placement(self) -> Placement:
@@ -182,7 +181,8 @@ def steps_of(
         deviations = found.coefficient_deviations(fit)
         if found.status == "named" and deviations < name_deviations:
             found = replace(found, doubt="coefficients")
-        replaced = tuple(Rival(c.label, c.name, c.joints, "data") for c in found.replaced)
+        others = (a.candidate for a in found.replaced)
+        replaced = tuple(Rival(c.label, c.name, c.joints, "data") for c in others)
         later = columns[k + 1 :]
         so_far = final.errors(np.concatenate([np.zeros(0, dtype=np.intp), *later]))
         without, j = final.errors(columns[k]), found.joint

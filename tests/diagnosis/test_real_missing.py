@@ -26,6 +26,24 @@ def test_presliding_of_most_joints_is_found_on_the_wrist_of_a_short_recording():
 
 
 @pytest.mark.slow
+@needs(UR10E / "ur10e.urdf")
+@pytest.mark.filterwarnings("ignore::lieid_casadi.errors.LieidWarning")  # 16 s are short
+def test_an_effect_returns_where_the_form_in_its_place_leaves_the_model():
+    """`stribeck/exponent` takes its place, and is not determined in the final model."""
+    robot = lieid.Robot.from_urdf(UR10E / "ur10e.urdf")
+    model = lieid.Model(robot, "coulomb,viscous,offset,armature")
+    train, test = (
+        lieid.Recording.load(f"{UR10E}/{name}")
+        for name in ("excitation_30s.csv.gz@0:16", "excitation_50s.csv.gz")
+    )
+    diagnosis = lieid.diagnose(model, train, test, processing=Processing(cutoff=4.9))
+    assert "stribeck/exponent:1" in dict(diagnosis.rejected)
+    (base,) = [step for step in diagnosis.steps if step.joint == 0]
+    assert base.effect == "viscous_polynomial"
+    assert base.fall.test > 0.2 * diagnosis.baseline["rms_test_moving"][0]
+
+
+@pytest.mark.slow
 @needs(PANDA / "panda.urdf")
 @pytest.mark.filterwarnings("ignore::lieid_casadi.errors.LieidWarning")  # 13 s are short
 def test_hysteresis_that_resembles_a_filter_is_found_by_the_fit():
