@@ -436,7 +436,7 @@ class MissingEffects:
                 added = self._first_half(added)
                 continue
             kept = self._with_plausible_values(fit, added)
-            if len(kept) == len(added):
+            if kept == added:
                 return fit, kept
             added = kept
 
@@ -454,7 +454,7 @@ class MissingEffects:
         return kept
 
     def _with_plausible_values(self, fit: Fit, added: Sequence[Accepted]) -> list[Accepted]:
-        """Return the effects whose fitted values are plausible; the others are refused."""
+        """Return the effects whose values are plausible, and those that a refused one replaced."""
         kept = []
         for found in added:
             reason = self._reason_against(fit, found)
@@ -463,6 +463,7 @@ class MissingEffects:
             else:
                 self.rejected[found.placement.label] = reason
                 self.refused.add(found.placement.label)
+                kept += found.replaced
         return kept
 
     def _reason_against(self, fit: Fit, found: Accepted) -> str | None:

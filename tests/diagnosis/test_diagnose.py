@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import combinations
 from types import SimpleNamespace
 
@@ -214,6 +214,25 @@ def test_effects_that_remain_have_the_stated_part_of_false_ones(strong, candidat
     rates = false_discovery_control([*(2.0 * norm.sf(x) for x in strong), *others])
     expected = [x for x, rate in zip(strong, rates, strict=False) if rate <= 0.1]
     assert [a.value for a in left] == expected
+
+
+def test_effects_return_where_the_form_in_their_place_is_implausible():
+    def found(label, *replaced):
+        return SimpleNamespace(placement=SimpleNamespace(label=label), replaced=replaced)
+
+    viscous, ripple = found("viscous_polynomial:1"), found("torque_ripple:2")
+    form = found("stribeck/exponent:1", viscous)
+    search = SimpleNamespace(
+        rejected={},
+        refused=set(),
+        _fitted=lambda added: [a.placement.label for a in added],
+        _reason_against=lambda fit, a: "implausible" if a is form else None,
+    )
+    search._with_plausible_values = partial(MissingEffects._with_plausible_values, search)
+    fit, left = MissingEffects._plausible(search, [form, ripple])
+    assert left == [viscous, ripple]
+    assert fit == ["viscous_polynomial:1", "torque_ripple:2"]
+    assert search.refused == {"stribeck/exponent:1"}
 
 
 def test_noise_exceeds_deviations_of_coefficients_as_often_as_a_normal_number():

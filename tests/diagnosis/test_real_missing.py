@@ -7,17 +7,22 @@ import lieid_casadi as lieid
 from lieid_casadi.recording import Processing
 
 
-@pytest.mark.slow
-@needs(UR10E / "ur10e.urdf")
-def test_presliding_of_most_joints_is_found_on_the_wrist_of_a_short_recording():
-    """Among all candidates, delays and polynomials of joint 6 share its torque."""
+def diagnosis_of_16_s(cutoff):
+    """Return the diagnosis of the first 16 s of a UR10e, tested on 50 s of other motion."""
     robot = lieid.Robot.from_urdf(UR10E / "ur10e.urdf")
     model = lieid.Model(robot, "coulomb,viscous,offset,armature")
     train, test = (
         lieid.Recording.load(f"{UR10E}/{name}")
         for name in ("excitation_30s.csv.gz@0:16", "excitation_50s.csv.gz")
     )
-    diagnosis = lieid.diagnose(model, train, test, processing=Processing(cutoff=7.0))
+    return lieid.diagnose(model, train, test, processing=Processing(cutoff=cutoff))
+
+
+@pytest.mark.slow
+@needs(UR10E / "ur10e.urdf")
+def test_presliding_of_most_joints_is_found_on_the_wrist_of_a_short_recording():
+    """Among all candidates, delays and polynomials of joint 6 share its torque."""
+    diagnosis = diagnosis_of_16_s(7.0)
     joints = {step.joint for step in diagnosis.steps if step.effect == "presliding"}
     assert {1, 2, 3, 4, 5} <= joints
     (wrist,) = [s for s in diagnosis.steps if (s.effect, s.joint) == ("presliding", 5)]
@@ -30,13 +35,7 @@ def test_presliding_of_most_joints_is_found_on_the_wrist_of_a_short_recording():
 @pytest.mark.filterwarnings("ignore::lieid_casadi.errors.LieidWarning")  # 16 s are short
 def test_an_effect_returns_where_the_form_in_its_place_leaves_the_model():
     """`stribeck/exponent` takes its place, and is not determined in the final model."""
-    robot = lieid.Robot.from_urdf(UR10E / "ur10e.urdf")
-    model = lieid.Model(robot, "coulomb,viscous,offset,armature")
-    train, test = (
-        lieid.Recording.load(f"{UR10E}/{name}")
-        for name in ("excitation_30s.csv.gz@0:16", "excitation_50s.csv.gz")
-    )
-    diagnosis = lieid.diagnose(model, train, test, processing=Processing(cutoff=4.9))
+    diagnosis = diagnosis_of_16_s(4.9)
     assert "stribeck/exponent:1" in dict(diagnosis.rejected)
     (base,) = [step for step in diagnosis.steps if step.joint == 0]
     assert base.effect == "viscous_polynomial"
