@@ -261,9 +261,9 @@ def is_form(effect: Effect) -> bool:
     return bool(variant) and follows_velocity(effect)
 
 
-def is_delay(effect: Effect) -> bool:
+def is_delay(candidate: Candidate) -> bool:
     """Return whether an effect resembles dry friction that reverses late, and nothing else."""
-    return effect.like_uncertain_friction == ("late",)
+    return candidate.effect.like_uncertain_friction == ("late",)
 
 
 def follows_temperature(effect: Effect) -> bool:

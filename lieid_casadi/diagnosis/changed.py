@@ -281,7 +281,7 @@ def _steps(
     found: Round, changes: Sequence[_Change], first: Array, options: DiagnosisOptions
 ) -> tuple[Step, ...]:
     slots = [c.slot.group for c in changes]
-    accepted = [Accepted.of(found, c.slot, slots, (), options) for c in changes]
+    accepted = [Accepted.of(found, c.slot, slots, options) for c in changes]
     torques = _torques(found, changes)
     complete = _misfit(found.rows, found.spread, torques) * found.spread
     groups = groups_of(accepted)

@@ -74,18 +74,16 @@ class FinalModel:
         values = self.fit.values[own]
         return float(np.sqrt(values @ gram[np.ix_(own, own)] @ values / max(gram[-1, -1], 1e-300)))
 
-    def contained(self, effect: Placement, smooth: Placement, added: Sequence[Placement]) -> float:
-        """Return the part of an effect's torque that a smooth function can take over.
+    def fall(self, effect: Placement, joint: int, gone: Sequence[Placement]) -> float:
+        """Return by what part an effect lowers the cross-validated error of a joint.
 
-        That is of its square outside the span of the model without the effects ``added``.
+        That is of the model without the effects ``gone``.
         """
-        gram = np.einsum("j,jab->ab", 1.0 / self.fit.noise**2, np.array(self.train))
-        own, more = self.columns_of([effect]), self.columns_of([smooth])
-        model = np.setdiff1d(np.arange(len(self.fit.values)), self.columns_of(added))
-        torque = np.zeros(len(gram))
-        torque[own] = self.fit.values[own]
-        before, after = (_outside(gram, torque, x) for x in (model, np.append(model, more)))
-        return 1.0 - after / max(before, 1e-300)
+        after, before = (
+            self.cross_validated(self.columns_of(without))[joint]
+            for without in (gone, [*gone, effect])
+        )
+        return float(1.0 - after / before)
 
     def errors(self, without: Indices) -> dict[str, Array | None]:
         """Return the errors in motion (n,) without some columns, N·m: train, cv and test."""
@@ -112,13 +110,6 @@ class FinalModel:
             return found
 
         return cross_validated_rms(self.folds, estimate)
-
-
-def _outside(gram: Array, combined: Array, given: Indices) -> float:
-    """Return the square of combined columns outside the span of others, from inner products."""
-    products = gram[given] @ combined
-    inside = solved(gram[np.ix_(given, given)], products)
-    return float(combined @ gram @ combined - products @ inside)
 
 
 def _products(rows: Rows) -> tuple[tuple[Array, ...], Array]:

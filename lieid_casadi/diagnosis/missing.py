@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -27,11 +28,11 @@ from lieid_casadi.diagnosis.steps import (
     absorbed_and_weak,
     difference_of,
     errors_of,
-    fall_of,
     fitted_values,
     late_friction,
     other_forms,
     over_floor,
+    rival_forms,
     steps_of,
     unexplained_parts,
 )
@@ -93,13 +94,13 @@ class MissingEffects:
         self.unseen: UnseenMotion | None = None
         self.gains: dict[str, MotionGain] = {}  # of the final fit's effects
         self.fits: dict[frozenset[str], Estimated] = {}  # by the effects that are added
-        self.candidates = 1  # of the library, on joints
+        self.candidates: dict[str, Candidate] = {}  # of the library, on joints, by label
 
     def diagnosis(self, seed: int) -> Diagnosis:
         """Return the diagnosis."""
         options, first = self.options, self.first
         rows = Rows.of(first, self.segments, known=self.known)
-        self.candidates = max(len(rows.candidates), 1)
+        self.candidates = {c.label: c for c in rows.candidates}
         fit, accepted, last = self._searched(rows)
         self.report("measure the effects", 0.9)
         tests = compared_segments(fit, self.tests) if self.tests else None
@@ -115,6 +116,8 @@ class MissingEffects:
             final, accepted, last_rows, torque, after, name_deviations=options.name_deviations
         )
         steps = tuple(replace(step, motion=self.gains.get(step.label)) for step in steps)
+        added = {step.label for step in steps}
+        rejected = {label: why for label, why in self.rejected.items() if label not in added}
         spread = last_rows.spread()
         span = last_rows.span(spread)
         ratio, where = over_floor(fitted, after)
@@ -123,7 +126,7 @@ class MissingEffects:
             options.largest_error,
             lambda j: followed_signals(last_rows, span, j, spread),
             self.differing,
-            self.rejected,
+            rejected,
             where,
         )
         shown = after or fitted
@@ -135,8 +138,8 @@ class MissingEffects:
             steps=steps,
             unexplained=parts,
             differing=tuple(self.differing),
-            rejected=tuple(self.rejected.items()),
-            undecided=tuple((k, d) for k, d in self.undecided.items() if k in self.rejected),
+            rejected=tuple(rejected.items()),
+            undecided=tuple((k, d) for k, d in self.undecided.items() if k in rejected),
             noise_floor=shown.noise_floor,
             noise_source=shown.noise_source,
             baseline_effects=tuple(first.model.effects),
@@ -187,7 +190,8 @@ class MissingEffects:
             rows = self._beside(fit, rows)
         fit, accepted = self._with_the_same_elsewhere(fit, accepted, rows)
         if self.unseen is None and late_friction(found, self.options.worth):
-            fit, accepted = self._with_delays(fit, accepted, rows)
+            rows = self._beside(fit, rows)
+            fit, accepted = self._with_more(fit, accepted, rows, is_delay, late=True)
         return *self._final(fit, accepted), found
 
     def _with_the_same_elsewhere(
@@ -196,7 +200,8 @@ class MissingEffects:
         """Return the fit with effects that several joints have on further joints, if needed.
 
         Drives of one arm resemble each other. Among all candidates several others may have shared
-        such an effect, so that none of them was worth it.
+        such an effect, so that none of them was worth it. What it does at reversals is known from
+        the other joints, so that the rows near them count in full.
         """
         joints: dict[str, set[int]] = {}
         for each in accepted:
@@ -204,32 +209,41 @@ class MissingEffects:
         common = {name for name, on in joints.items() if len(on) >= OTHER_JOINTS and name != SMOOTH}
         if not common:
             return fit, accepted
+        rows = self._beside(fit, rows).with_equal_weights()
+        return self._with_more(
+            fit, accepted, rows, lambda c: c.name in common and not c.reaches_all
+        )
+
+    def _with_more(
+        self,
+        fit: Fit,
+        accepted: list[Accepted],
+        rows: Rows,
+        kind: Callable[[Candidate], bool],
+        *,
+        late: bool = False,
+    ) -> tuple[Fit, list[Accepted]]:
+        """Return the fit with what a search for effects of some kind adds.
+
+        With ``late`` they may explain that dry friction reverses late, which nothing else explains.
+        Delays lower the error whether the torque is late or the joint sticks for a moment, so that
+        their names are not certain.
+        """
         found = search(
-            self._beside(fit, rows),
+            rows,
             self.options,
-            wanted=lambda c: self._is_wanted(c) and c.name in common and not c.reaches_all,
+            wanted=lambda c: self._is_wanted(c) and kind(c),
+            beside_friction=not late,
             with_smooth=False,
         )
         new = self._accepted(found, accepted)
+        if late:
+            new = [replace(a, doubt="late_friction") for a in new]
         return self._plausible([*accepted, *new]) if new else (fit, accepted)
 
-    def _with_delays(
-        self, fit: Fit, accepted: list[Accepted], rows: Rows
-    ) -> tuple[Fit, list[Accepted]]:
-        """Return the fit with delays where dry friction reverses late and nothing else explains it.
-
-        They lower the error there whether the torque is late or the joint sticks for a moment, so
-        that their names are not certain.
-        """
-        found = search(
-            self._beside(fit, rows),
-            self.options,
-            wanted=lambda c: self._is_wanted(c) and is_delay(c.effect),
-            beside_friction=False,
-            with_smooth=False,
-        )
-        new = [replace(a, doubt="late_friction") for a in self._accepted(found, accepted)]
-        return self._plausible([*accepted, *new]) if new else (fit, accepted)
+    def _agreed(self, label: str, joint: int, errors: tuple[float, float]) -> bool:
+        """Return whether the user adds an effect that changes a held-out error so, N·m."""
+        return self.ask is None or self.ask(Proposal(label, joint, *errors))
 
     def _is_wanted(self, candidate: Candidate) -> bool:
         return candidate.label not in self.refused
@@ -278,7 +292,7 @@ class MissingEffects:
         fewer parameters, if it is not higher by as much.
         """
         for j in range(fit.model.n):
-            for found, replaced in other_forms(accepted, j, self.first.model):
+            for found, replaced in other_forms(accepted, j, self.candidates):
                 others = [*(a for a in accepted if a not in replaced), found]
                 fewer = found.candidate.parameters < sum(a.candidate.parameters for a in replaced)
                 most = fit.rms_cv[j] * (1.0 - self.options.worth) ** (-1 if fewer else 1)
@@ -293,7 +307,7 @@ class MissingEffects:
                 if self._undetermined(found, others, other) is not None:
                     continue
                 errors = float(fit.rms_cv[j]), float(other.rms_cv[j])
-                if self.ask is None or self.ask(Proposal(found.placement.label, j, *errors)):
+                if self._agreed(found.placement.label, j, errors):
                     fit, accepted = other, others
                     break
         return fit, accepted
@@ -321,7 +335,7 @@ class MissingEffects:
             return left
         while left:
             gone = [a.placement for a in accepted if a not in left]
-            falls = [fall_of(model, found, left, gone) for found in left]
+            falls = [model.fall(a.placement, a.joint, gone) for a in left]
             worst = int(np.argmin(falls))
             if falls[worst] >= (0.0 if self.apart else self.options.worth):
                 break
@@ -338,7 +352,7 @@ class MissingEffects:
         return undetermined(
             found.evidence.gain_certainty,
             found.coefficient_deviations(fit),
-            len(accepted) / self.candidates,
+            len(accepted) / len(self.candidates),
             self.options,
             _elsewhere(found.candidate, [a.candidate for a in accepted]),
         )
@@ -402,17 +416,15 @@ class MissingEffects:
             self.undecided.pop(label, None)
             if reason is not None and slot.fall >= self.options.worth and slot.deviations > 0.0:
                 self.undecided[label] = slot.deviations
-            if reason is None and self.ask is not None and label not in have:
-                before, after = found.held_out_errors(slot)
-                if not self.ask(Proposal(label, slot.joint, before, after)):
-                    reason = "rejected by the user"
+            errors = found.held_out_errors(slot)
+            if reason is None and label not in have and not self._agreed(label, slot.joint, errors):
+                reason = "rejected by the user"
             if reason is None:
                 new.append(slot)
-                self.rejected.pop(label, None)
             else:
                 self.rejected[label] = reason
         groups = [slot.group for slot in new]
-        return [Accepted.of(found, slot, groups, accepted, self.options) for slot in new]
+        return [Accepted.of(found, slot, groups, self.options) for slot in new]
 
     def _set_apart(self, found: Round) -> bool:
         """Keep what differs between recordings or changes, and set it apart; whether any does."""
@@ -454,16 +466,26 @@ class MissingEffects:
         return kept
 
     def _with_plausible_values(self, fit: Fit, added: Sequence[Accepted]) -> list[Accepted]:
-        """Return the effects whose values are plausible, and those that a refused one replaced."""
-        kept = []
+        """Return the effects whose values are plausible, and what stands for a refused one.
+
+        That are those that it replaced, or its nearest rival.
+        """
+        kept = list[Accepted]()
         for found in added:
             reason = self._reason_against(fit, found)
             if reason is None:
                 kept.append(found)
-            else:
-                self.rejected[found.placement.label] = reason
-                self.refused.add(found.placement.label)
-                kept += found.replaced
+                continue
+            self.rejected[found.placement.label] = reason
+            self.refused.add(found.placement.label)
+            have = {a.placement.label for a in (*added, *kept)} | self.refused
+            forms = (
+                form
+                for form in rival_forms(found, self.candidates)
+                if form.placement.label not in have
+                and self._agreed(form.placement.label, form.joint, form.errors)
+            )
+            kept += found.replaced or islice(forms, 1)
         return kept
 
     def _reason_against(self, fit: Fit, found: Accepted) -> str | None:

@@ -118,6 +118,11 @@ class Rows:
         beside = tuple(np.hstack(both) for both in zip(self.model, columns, strict=True))
         return replace(self, model=beside)
 
+    def with_equal_weights(self) -> Rows:
+        """Return the rows as if dry friction were certain at reversals, too."""
+        runs = tuple(replace(run, friction_std=0.0 * run.friction_std) for run in self.runs)
+        return replace(self, runs=runs)
+
     def spread(self, residual: Sequence[Array] | None = None) -> Array:
         """Return the standard deviation (n,) of residuals away from uncertain friction, N·m."""
         own = self.residual if residual is None else residual

@@ -27,14 +27,11 @@ from lieid_casadi.diagnosis.step import (
     Step,
     Unexplained,
 )
-from lieid_casadi.effects import ArmEffect, Effect, Placement
-from lieid_casadi.effects.registry import usable
+from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.errors import LateFrictionWarning
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.fit_warnings import WEAK
-from lieid_casadi.model import Model
 
-CONTAINED = 0.1  # part of an effect's torque that a smooth function can take over
 ABSORBED = 1e-6  # part of a column outside the model's span, below which the model imitates it
 
 
@@ -42,18 +39,17 @@ ABSORBED = 1e-6  # part of a column outside the model's span, below which the mo
 class Accepted:
     """An effect that the search adds, with what the held-out parts say of it.
 
+    ``errors``: held-out RMS errors of its joint without it and with it, N·m.
     ``doubt``: why its name is not certain, rivals aside.
-    ``beside_smooth``: whether there was a smooth function of its joint when it was found.
     ``replaced``: the effects in whose place it is.
     """
 
     candidate: Candidate
-    shapes: Array
     joint: int
     evidence: Evidence
     rivals: tuple[Rival, ...]
     doubt: Doubt
-    beside_smooth: bool
+    errors: tuple[float, float]
     replaced: tuple[Accepted, ...] = ()
 
     @classmethod
@@ -62,10 +58,9 @@ class Accepted:
         found: Round,
         slot: Slot,
         groups: Sequence[int],
-        earlier: Sequence[Accepted],
         options: DiagnosisOptions,
     ) -> Accepted:
-        """Return an effect of a round beside earlier ones and groups that are accepted with it."""
+        """Return an effect of a round beside groups that are accepted with it."""
         candidate = found.candidate(slot.group)
         others = [g for g in groups if g != slot.group]
         near = rivals_of(found, slot, others, options.rival_deviations)
@@ -79,16 +74,13 @@ class Accepted:
             slot.selected_any,
             int(found.folds.independent[slot.joint]),
         )
-        beside = [*map(found.candidate, others), *(a.candidate for a in earlier)]
-        smooth = any(c.name == SMOOTH and c.joint == slot.joint for c in beside)
         return cls(
             candidate,
-            found.paths.columns.shapes(slot.group),
             slot.joint,
             evidence,
             rivals,
             _doubt(candidate, slot, options, sudden=len(rivals) < len(near)),
-            smooth,
+            found.held_out_errors(slot),
         )
 
     @property
@@ -98,12 +90,10 @@ class Accepted:
             return "shape"
         return "one_of" if self.rivals or self.doubt else "named"
 
-    def replaced_by(self, effect: Effect, all_replaced: Sequence[Accepted]) -> Accepted:
+    def replaced_by(self, other: Candidate, all_replaced: Sequence[Accepted]) -> Accepted:
         """Return the same with another effect, in the place of several."""
-        place = Placement(effect, 0 if effect.whole_arm else self.joint)
-        form = Candidate(place, np.zeros((1, len(effect.shapes))))
-        rivals = tuple(rival for rival in self.rivals if rival.effect != effect.name)
-        return replace(self, candidate=form, rivals=rivals, replaced=tuple(all_replaced))
+        rivals = tuple(rival for rival in self.rivals if rival.effect != other.name)
+        return replace(self, candidate=other, rivals=rivals, replaced=tuple(all_replaced))
 
     @property
     def placement(self) -> Placement:
@@ -137,7 +127,7 @@ def _doubt(candidate: Candidate, slot: Slot, options: DiagnosisOptions, *, sudde
     if sudden:
         return "instant"
     # signals of drives are late; friction at reversals of another form looks early on one joint
-    if is_delay(candidate.effect) and candidate.joints and slot.values[0] < 0.0:
+    if is_delay(candidate) and candidate.joints and slot.values[0] < 0.0:
         return "lead"
     return ""
 
@@ -429,7 +419,7 @@ def _difference(before: Array | None, after: Array | None, joint: int) -> float 
 
 
 def other_forms(
-    accepted: Sequence[Accepted], joint: int, model: Model
+    accepted: Sequence[Accepted], joint: int, candidates: Mapping[str, Candidate]
 ) -> list[tuple[Accepted, list[Accepted]]]:
     """Return effects that may be better than some on a joint, and those in whose place they are.
 
@@ -437,47 +427,26 @@ def other_forms(
     along the arm takes the place of its kind only, and for a delay its rivals: hysteresis, filters
     and delays resemble each other between the points of their grids.
     """
-    own, effects = [a for a in accepted if a.joint == joint], usable(model.library)[0]
-    alike, found = [a for a in own if follows_velocity(a.candidate.effect)], []
-    for effect in filter(is_form, effects.values()) if alike else ():
-        same = [a for a in alike if a.candidate.name == effect.name]
-        if same or not isinstance(effect, ArmEffect):
-            found.append(([*same, *alike][0].replaced_by(effect, alike), alike))
+    own, found = [a for a in accepted if a.joint == joint], []
+    alike = [a for a in own if follows_velocity(a.candidate.effect)]
+    forms = [c for c in candidates.values() if is_form(c.effect) and c.joint == joint]
+    for form in forms if alike else ():
+        same = [a for a in alike if a.candidate.name == form.name]
+        if same or not isinstance(form.effect, ArmEffect):
+            found.append(([*same, *alike][0].replaced_by(form, alike), alike))
     for delay in own:
-        mine = delay.candidate
-        itself = Rival(mine.label, mine.name, mine.joints, "data")
-        for rival in delay.rivals if is_delay(mine.effect) else ():
-            other = effects.get(rival.label.partition(":")[0])
-            if other is not None and rival.joints == mine.joints:
-                form = delay.replaced_by(other, [delay])
-                beside = [a for a in accepted if a.placement.label == rival.label]
-                found.append((replace(form, rivals=(itself, *form.rivals)), [delay, *beside]))
+        for other in rival_forms(delay, candidates) if is_delay(delay.candidate) else ():
+            beside = [a for a in accepted if a.placement.label == other.placement.label]
+            found.append((replace(other, replaced=(delay,)), [delay, *beside]))
     return found
 
 
-def fall_of(
-    model: FinalModel, found: Accepted, left: Sequence[Accepted], gone: Sequence[Placement]
-) -> float:
-    """Return how much an effect lowers the cross-validated error of its joint, relative to it.
-
-    Where a smooth function contains a part of the effect and was there before it, the effect must
-    be worth it without the function, too: beside one, a piece of any other form would be.
-    """
-    added = [*gone, *(a.placement for a in left)]
-    contain = [
-        a.placement
-        for a in left
-        if found.beside_smooth
-        and found.candidate.name != SMOOTH
-        and (a.candidate.name, a.joint) == (SMOOTH, found.joint)
-        and model.contained(found.placement, a.placement, added) > CONTAINED
-    ]
-
-    def fall(without: Sequence[Placement]) -> float:
-        complete, less = (
-            model.cross_validated(model.columns_of([*gone, *without, *own]))[found.joint]
-            for own in ([], [found.placement])
-        )
-        return float(1.0 - complete / less)
-
-    return min(fall([]), fall(contain)) if contain else fall([])
+def rival_forms(found: Accepted, candidates: Mapping[str, Candidate]) -> list[Accepted]:
+    """Return the rivals of an effect in its place, nearest first; it is a rival of theirs."""
+    mine, forms = found.candidate, []
+    itself = Rival(mine.label, mine.name, mine.joints, "data")
+    for rival in found.rivals:
+        if rival.joints == mine.joints and rival.label in candidates:
+            form = found.replaced_by(candidates[rival.label], ())
+            forms.append(replace(form, rivals=(itself, *form.rivals)))
+    return forms

@@ -205,7 +205,7 @@ def test_effects_that_remain_have_the_stated_part_of_false_ones(strong, candidat
         for k, (placement, value) in enumerate(zip(placements, strong, strict=True))
         for coefficients in [max(2.0, 0.8 * value) if k % 2 else 1.2 * value]
     ]
-    search = SimpleNamespace(options=DiagnosisOptions(), candidates=candidates)
+    search = SimpleNamespace(options=DiagnosisOptions(), candidates=range(candidates))
     while out := [a for a in left if MissingEffects._undetermined(search, a, left, None)]:
         _, deviations = MissingEffects._undetermined(search, out[-1], left, None)
         assert deviations < 3.0  # so that an experiment asks for more data
@@ -216,23 +216,69 @@ def test_effects_that_remain_have_the_stated_part_of_false_ones(strong, candidat
     assert [a.value for a in left] == expected
 
 
-def test_effects_return_where_the_form_in_their_place_is_implausible():
-    def found(label, *replaced):
-        return SimpleNamespace(placement=SimpleNamespace(label=label), replaced=replaced)
+@pytest.mark.parametrize(
+    ("rivals", "asked", "left"),
+    [
+        ((), [], ["torque_ripple:1"]),
+        (("stribeck:1",), [], ["torque_ripple:1"]),  # not among the candidates
+        (("coulomb:2", "presliding:2"), ["coulomb:2"], ["coulomb:2", "torque_ripple:1"]),
+        (("time_shift", "presliding:2"), ["presliding:2"], ["presliding:2", "torque_ripple:1"]),
+        (("viscous:2",), ["viscous:2"], ["torque_ripple:1"]),  # the user rejects it
+        (("viscous:2", "coulomb:2"), ["viscous:2", "coulomb:2"], ["coulomb:2", "torque_ripple:1"]),
+    ],
+)
+def test_the_nearest_rival_stands_for_an_effect_that_is_implausible(rivals, asked, left):
+    def agree(label, joint, errors):
+        questions.append(label)
+        return label != "viscous:2"
 
-    viscous, ripple = found("viscous_polynomial:1"), found("torque_ripple:2")
-    form = found("stribeck/exponent:1", viscous)
-    search = SimpleNamespace(
-        rejected={},
-        refused=set(),
-        _fitted=lambda added: [a.placement.label for a in added],
-        _reason_against=lambda fit, a: "implausible" if a is form else None,
-    )
-    search._with_plausible_values = partial(MissingEffects._with_plausible_values, search)
+    questions = []
+    joints = {"time_shift": (), "stribeck:1": (0,)}
+    stated = [Rival(r, r.partition(":")[0], joints.get(r, (1,)), "data") for r in rivals]
+    kept, refused = accepted_as("torque_ripple:1"), accepted_as("stribeck:2", *stated)
+    search = searched(refused, "coulomb:2", "viscous:2", "presliding:2", "time_shift")
+    search._agreed = agree
+    fit, found = MissingEffects._plausible(search, [refused, kept])
+    assert fit == [a.placement.label for a in found] == left
+    assert questions == asked
+    assert search.refused == {"stribeck:2"}
+
+
+def test_effects_return_where_the_form_in_their_place_is_implausible():
+    viscous, ripple = accepted_as("viscous_polynomial:1"), accepted_as("torque_ripple:2")
+    form = replace(accepted_as("stribeck/exponent:1"), replaced=(viscous,))
+    search = searched(form)
     fit, left = MissingEffects._plausible(search, [form, ripple])
     assert left == [viscous, ripple]
     assert fit == ["viscous_polynomial:1", "torque_ripple:2"]
     assert search.refused == {"stribeck/exponent:1"}
+
+
+def test_effects_return_where_the_form_in_their_place_is_not_needed():
+    viscous, ripple = accepted_as("viscous_polynomial:1"), accepted_as("torque_ripple:2")
+    form = replace(accepted_as("stribeck/exponent:1"), replaced=(viscous,))
+    search = SimpleNamespace(
+        _with_other_forms=lambda fit, accepted: (fit, [ripple, form]),
+        _complete=lambda added: [a.placement.label for a in added],
+        _needed=lambda fit, added: [a for a in added if a is not form],
+        _plausible=lambda added: (None, added),
+    )
+    fit, left = MissingEffects._final(search, None, [ripple, viscous])
+    assert left == [ripple, viscous]
+    assert fit == ["torque_ripple:2", "viscous_polynomial:1"]
+
+
+def searched(implausible, *labels):
+    """Return what a search knows whose fits are the labels of their effects."""
+    search = SimpleNamespace(
+        candidates=candidates_of(*labels),
+        rejected={},
+        refused=set(),
+        _fitted=lambda added: [a.placement.label for a in added],
+        _reason_against=lambda fit, a: "implausible" if a is implausible else None,
+    )
+    search._with_plausible_values = partial(MissingEffects._with_plausible_values, search)
+    return search
 
 
 def test_noise_exceeds_deviations_of_coefficients_as_often_as_a_normal_number():
@@ -756,16 +802,30 @@ def test_a_joint_that_is_held_in_training_may_be_unexplained_in_the_test():
     assert (1, ()) in [(part.joint, part.depends_on) for part in diagnosis.unexplained]
 
 
+def candidates_of(*labels):
+    placements = [place(label, ROBOT.n)[0] for label in labels]
+    return {p.label: Candidate(p, np.zeros((1, len(p.effect.shapes)))) for p in placements}
+
+
 def accepted_as(label, *rivals):
-    (placement,) = place(label, ROBOT.n)
-    candidate = Candidate(placement, np.zeros((1, 1)))
+    (candidate,) = candidates_of(label).values()
     evidence = Evidence((), (), 0.0, 0.0, 1.0, 1.0, 10)
-    return Accepted(candidate, np.zeros(1), 1, evidence, rivals, "", False)
+    return Accepted(candidate, 1, evidence, rivals, "", (2.0, 1.0))
+
+
+FORMS = candidates_of(
+    "stribeck/exponent:2",
+    "stribeck/exponent:1",
+    "torque_lowpass/second_order:2",
+    "torque_lowpass:2",
+    "presliding:2",
+    "time_shift",
+)
 
 
 def test_a_filter_of_torque_is_no_form_of_friction_over_speed():
     def forms(label):
-        found = other_forms([accepted_as(label)], 1, MODEL)
+        found = other_forms([accepted_as(label)], 1, FORMS)
         return [each.placement.label for each, _ in found]
 
     assert forms("stribeck:2") == ["stribeck/exponent:2"]
@@ -783,7 +843,7 @@ def test_a_rival_of_a_delay_may_take_its_place_and_leaves_it_as_a_rival():
     ]
     forms = {
         (form.placement.label, form.placement.joint): (form, [each.placement.label for each in of])
-        for form, of in other_forms(found, 1, MODEL)
+        for form, of in other_forms(found, 1, FORMS)
     }
     form, replaced = forms["presliding:2", 1]
     assert replaced == ["torque_delay:2"]

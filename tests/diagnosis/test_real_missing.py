@@ -20,25 +20,31 @@ def diagnosis_of_16_s(cutoff):
 
 @pytest.mark.slow
 @needs(UR10E / "ur10e.urdf")
-def test_presliding_of_most_joints_is_found_on_the_wrist_of_a_short_recording():
-    """Among all candidates, delays and polynomials of joint 6 share its torque."""
+def test_presliding_of_most_joints_is_found_on_all_joints_of_a_short_recording():
+    """Among all candidates, delays and polynomials of joint 6 share its torque.
+
+    On the first joint the rows near reversals show it, which count less where friction there is not
+    known from other joints.
+    """
     diagnosis = diagnosis_of_16_s(7.0)
-    joints = {step.joint for step in diagnosis.steps if step.effect == "presliding"}
-    assert {1, 2, 3, 4, 5} <= joints
-    (wrist,) = [s for s in diagnosis.steps if (s.effect, s.joint) == ("presliding", 5)]
-    assert wrist.confirmed
-    assert wrist.fall.test > 0.04  # N·m
+    steps = {step.joint: step for step in diagnosis.steps if step.effect == "presliding"}
+    assert set(steps) == set(range(6))
+    assert steps[0].confirmed
+    assert steps[5].confirmed
+    assert steps[0].fall.test > 0.05  # N·m
+    assert steps[5].fall.test > 0.04
 
 
 @pytest.mark.slow
 @needs(UR10E / "ur10e.urdf")
 @pytest.mark.filterwarnings("ignore::lieid_casadi.errors.LieidWarning")  # 16 s are short
-def test_an_effect_returns_where_the_form_in_its_place_leaves_the_model():
-    """`stribeck/exponent` takes its place, and is not determined in the final model."""
-    diagnosis = diagnosis_of_16_s(4.9)
-    assert "stribeck/exponent:1" in dict(diagnosis.rejected)
-    (base,) = [step for step in diagnosis.steps if step.joint == 0]
-    assert base.effect == "viscous_polynomial"
+@pytest.mark.parametrize("cutoff", [4.9, 9.8])
+def test_a_rival_stands_for_an_effect_whose_shape_the_motion_does_not_resolve(cutoff):
+    """In the next round it is not certain alone: joint 1 had no friction over speed."""
+    diagnosis = diagnosis_of_16_s(cutoff)
+    assert "upper end" in dict(diagnosis.rejected)["stribeck:1"]
+    (base,) = [s for s in diagnosis.steps if (s.effect, s.joint) == ("viscous_polynomial", 0)]
+    assert base.status == "one_of"
     assert base.fall.test > 0.2 * diagnosis.baseline["rms_test_moving"][0]
 
 
