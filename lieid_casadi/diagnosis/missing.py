@@ -130,7 +130,7 @@ class MissingEffects:
             where,
         )
         shown = after or fitted
-        absorbed, weak = absorbed_and_weak(last)
+        absorbed, weak = absorbed_and_weak(last, beside=last.rows.fit.model.placements)
         self.report("done", 1.0)
         return Diagnosis(
             mode="missing",

@@ -356,16 +356,24 @@ def unexplained_parts(
     return tuple(found)
 
 
-def absorbed_and_weak(found: Round) -> tuple[tuple[str, ...], tuple[tuple[str, float], ...]]:
-    """Return the candidates that the model spans, and those that it nearly spans."""
+def absorbed_and_weak(
+    found: Round, beside: Sequence[Placement] = ()
+) -> tuple[tuple[str, ...], tuple[tuple[str, float], ...]]:
+    """Return the candidates that the model spans, and those that it nearly spans.
+
+    The model's own effects ``beside`` are none of them, although it spans them.
+    """
     columns, whole = found.paths.columns, found.paths.whole
+    own_labels = {placement.label for placement in beside}
     remaining = np.zeros(len(columns.owners))
     for (groups, own), gram in zip(columns.by_size, columns.within(whole.inner), strict=True):
         norms = found.paths.norms[own]
         left = np.sqrt(np.clip(np.einsum("gkk->gk", gram), 0.0, None) / np.maximum(norms, 1e-300))
         np.maximum.at(remaining, columns.owner[groups], left.max(axis=1))
     parts = {
-        c.label: float(part) for c, part in zip(columns.owners, remaining, strict=True) if c.of_arm
+        c.label: float(part)
+        for c, part in zip(columns.owners, remaining, strict=True)
+        if c.of_arm and c.label not in own_labels
     }
     return (
         tuple(k for k, part in parts.items() if part < ABSORBED),

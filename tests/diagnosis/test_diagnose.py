@@ -20,7 +20,7 @@ from scipy.stats import t as student
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import DiagnosisOptions, evidence, search, smooth_functions
+from lieid_casadi.diagnosis import DiagnosisOptions, evidence, missing, search, smooth_functions
 from lieid_casadi.diagnosis.candidates import Candidate, shape_grid
 from lieid_casadi.diagnosis.columns import scan_peaks
 from lieid_casadi.diagnosis.findings import finding
@@ -31,7 +31,12 @@ from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
 from lieid_casadi.diagnosis.step import Evidence, Rival
-from lieid_casadi.diagnosis.steps import Accepted, beside_smooth_functions, other_forms
+from lieid_casadi.diagnosis.steps import (
+    Accepted,
+    absorbed_and_weak,
+    beside_smooth_functions,
+    other_forms,
+)
 from lieid_casadi.effects import Placement, make
 from lieid_casadi.effects.placement import place
 from lieid_casadi.errors import (
@@ -790,6 +795,21 @@ def test_effects_that_the_model_absorbs_are_listed():
     assert not {label for label, _ in content.weak} & set(content.absorbed)
     assert "armature:1" in alias_sentence(content)
     assert content.to_dict()["absorbed"] == list(content.absorbed)
+
+
+def test_an_effect_that_the_last_search_was_beside_is_no_candidate_that_the_model_absorbs(
+    monkeypatch,
+):
+    def absorbed(found, beside):
+        assert beside == found.rows.fit.model.placements
+        before, _ = absorbed_and_weak(found, beside)
+        after, _ = absorbed_and_weak(found, (*beside, *place("armature:1", ROBOT.n)))
+        assert set(before) - set(after) == {"armature:1"}
+        return after, ()
+
+    monkeypatch.setattr(missing, "absorbed_and_weak", absorbed)
+    diagnosis = lieid.diagnose(MODEL, *two_runs(seed=10))
+    assert "armature:1" not in diagnosis.absorbed
 
 
 def test_a_joint_that_is_held_in_training_may_be_unexplained_in_the_test():
