@@ -88,7 +88,7 @@ class MissingEffects:
         self.known = tuple(FilteredColumns() for _ in segments)
         self.rejected: dict[str, str] = {}
         self.undecided: dict[str, float] = {}  # of those, gains or coefficients in standard errors
-        self.refused: set[str] = set()  # implausible values, or the simulated motion is no better
+        self.refused: set[str] = set()  # by the user, as implausible, or the motion is no better
         self.differing: list[Difference] = []
         self.apart: list[list[Array]] = []  # columns of what differs between the recordings
         self.unseen: UnseenMotion | None = None
@@ -419,6 +419,7 @@ class MissingEffects:
             errors = found.held_out_errors(slot)
             if reason is None and label not in have and not self._agreed(label, slot.joint, errors):
                 reason = "rejected by the user"
+                self.refused.add(label)
             if reason is None:
                 new.append(slot)
             else:

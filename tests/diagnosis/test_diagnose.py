@@ -550,6 +550,23 @@ def test_another_form_of_friction_over_speed_is_in_the_place_of_what_imitates_it
     assert step.parameters == pytest.approx(expected, rel=0.1)
 
 
+def test_the_user_is_asked_about_each_effect_once():
+    def ask(proposal):
+        asked.append(proposal.label)
+        assert proposal.after < proposal.before
+        return proposal.label != "load_friction:1"
+
+    asked = []
+    train, _ = two_runs(LOAD_FRICTION, ("torque_ripple", 1, 3.0), seed=10)
+    diagnosis = lieid.diagnose(MODEL, train, ask=ask)
+    assert {"load_friction:1", "torque_ripple:2"} <= set(asked)
+    assert len(set(asked)) == len(asked)
+    labels = [step.label for step in diagnosis.steps]
+    assert "torque_ripple:2" in labels
+    assert "load_friction:1" not in labels
+    assert dict(diagnosis.rejected)["load_friction:1"] == "rejected by the user"
+
+
 def test_the_user_is_asked_before_another_form_takes_the_place_of_effects():
     size = 0.4 * float(plant.torque_scale(ROBOT)[0])
     odd = plant.ForeignTorque(
