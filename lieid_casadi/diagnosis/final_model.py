@@ -86,18 +86,19 @@ class FinalModel:
         return float(1.0 - after / before)
 
     def errors(self, without: Indices) -> dict[str, Array | None]:
-        """Return the errors in motion (n,) without some columns, N·m: train, cv and test."""
+        """Return the errors in motion (n,) without some columns, N·m, as `Step.errors`."""
         count = len(self.fit.values)
         kept = np.setdiff1d(np.arange(count), without)
         values = np.zeros(count)
         weights = 1.0 / self.fit.noise**2
         gram = np.einsum("j,jab->ab", weights, np.array(self.train)) + self.priors
         values[kept] = solved(gram[np.ix_(kept, kept)], gram[kept, -1])
-
+        test = None if self.test is None else _rms(self.test, self.test_counts, values)
         return {
-            "train": _rms(self.train, self.counts, values),
-            "cv": self.cross_validated(without),
-            "test": None if self.test is None else _rms(self.test, self.test_counts, values),
+            "rms_train": _rms(self.train, self.counts, values),
+            "rms_test": test,
+            "rms_test_moving": test,
+            "rms_cv": self.cross_validated(without),
         }
 
     def cross_validated(self, without: Indices) -> Array:

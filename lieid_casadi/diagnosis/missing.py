@@ -112,8 +112,15 @@ class MissingEffects:
         last_rows = Rows.of(
             fit, self.segments, known=self.known, before=rows, with_candidates=False
         )
+        baseline = errors_of(first, before)
         steps = steps_of(
-            final, accepted, last_rows, torque, after, name_deviations=options.name_deviations
+            final,
+            accepted,
+            last_rows,
+            torque,
+            baseline,
+            after,
+            name_deviations=options.name_deviations,
         )
         steps = tuple(replace(step, motion=self.gains.get(step.label)) for step in steps)
         added = {step.label for step in steps}
@@ -143,7 +150,7 @@ class MissingEffects:
             noise_floor=shown.noise_floor,
             noise_source=shown.noise_source,
             baseline_effects=tuple(first.model.effects),
-            baseline=errors_of(first, before),
+            baseline=baseline,
             expected=None,
             tried=sum(c.of_arm for c in last.paths.columns.owners),
             absorbed=absorbed,

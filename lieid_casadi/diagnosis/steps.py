@@ -32,6 +32,7 @@ from lieid_casadi.errors import LateFrictionWarning
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.fit_warnings import WEAK
 
+IN_MOTION = ("rms_train", "rms_cv", "rms_test_moving")  # of the errors of a model
 ABSORBED = 1e-6  # part of a column outside the model's span, below which the model imitates it
 
 
@@ -153,6 +154,7 @@ def steps_of(
     accepted: Sequence[Accepted],
     rows: Rows,
     torque: Array,
+    first: dict[str, Array | None],
     tested: Comparison | None,
     *,
     name_deviations: float,
@@ -160,12 +162,13 @@ def steps_of(
     """Return the steps of a final model: every number is that of its fit.
 
     ``accepted`` is in the order of the path, ``rows`` are those of the final fit, ``torque`` (n,)
-    is the RMS of the measured torque, N·m, and ``tested`` compares the final fit with the test.
+    is the RMS of the measured torque, N·m, ``first`` has the errors of the first model (see
+    `errors_of`), and ``tested`` compares the final fit with the test. Without its only effect the
+    final model is the first one.
     """
     fit = final.fit
     columns = [final.columns_of([a.placement]) for a in accepted]
-    complete = final.errors(np.zeros(0, dtype=np.intp))
-    groups = groups_of(accepted)
+    complete, groups = errors_of(fit, tested), groups_of(accepted)
     steps = []
     for k, found in enumerate(accepted):
         deviations = found.coefficient_deviations(fit)
@@ -174,10 +177,10 @@ def steps_of(
         others = (a.candidate for a in found.replaced)
         replaced = tuple(Rival(c.label, c.name, c.joints, "data") for c in others)
         later = columns[k + 1 :]
-        so_far = final.errors(np.concatenate([np.zeros(0, dtype=np.intp), *later]))
-        without, j = final.errors(columns[k]), found.joint
-        fall = {key: _difference(without[key], complete[key], j) for key in ("train", "cv", "test")}
-        before, after = (float(_value(errors["cv"], j)) for errors in (without, complete))
+        so_far = final.errors(np.concatenate(later)) if later else complete
+        without, j = first if len(accepted) == 1 else final.errors(columns[k]), found.joint
+        fall = Fall(*(_difference(without[name], complete[name], j) for name in IN_MOTION))
+        before, after = (_value(errors["rms_cv"], j) for errors in (without, complete))
         _, _, numbers = fitted_values(fit, found.placement)
         steps.append(
             Step(
@@ -191,9 +194,9 @@ def steps_of(
                 units={name: unit for name, (_, _, unit) in numbers.items()},
                 before=before,
                 after=after,
-                fall=Fall(fall["train"], fall["cv"], fall["test"]),
+                fall=fall,
                 share=share_of(before, after, float(torque[j])),
-                confirmed=None if fall["test"] is None else fall["test"] > 0.0,
+                confirmed=None if fall.test is None else fall.test > 0.0,
                 evidence=replace(found.evidence, coefficient_deviations=deviations),
                 doubt=found.doubt,
                 rivals=found.rivals,
@@ -201,14 +204,7 @@ def steps_of(
                 depends_on=signals_of(found.placement),
                 formula=_formula(final, found.placement, rows) if found.status == "shape" else "",
                 rival_pairs=(replaced,) if len(replaced) > 1 else (),
-                errors={
-                    "rms_train": so_far["train"],
-                    "rms_test": so_far["test"],
-                    "rms_test_moving": so_far["test"],
-                    "rms_cv": so_far["cv"],
-                }
-                if len(later)
-                else errors_of(fit, tested),
+                errors=so_far,
             )
         )
     return beside_smooth_functions(steps)

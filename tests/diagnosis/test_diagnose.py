@@ -139,18 +139,29 @@ def test_every_number_of_a_step_is_that_of_the_final_fit():
     row = table["load_friction.f_tau", 1]
     assert (step.parameters["f_tau"], step.std["f_tau"]) == (row["value"], row["std"])
     without = lieid.identify(MODEL, train, processing=diagnosis.fit.processing)
-    # Shapes are not in this model, so that a fit without the step is the linear one.
     fall = without.rms_cv[0] - diagnosis.fit.rms_cv[0]
-    assert step.fall.cv == pytest.approx(fall, rel=2e-2)
+    assert step.fall.cv == pytest.approx(fall, rel=1e-6)
     unseen = [lieid.compare(fit, test).rms_moving[0] for fit in (without, diagnosis.fit)]
-    assert step.fall.test == pytest.approx(unseen[0] - unseen[1], rel=2e-2)
+    assert step.fall.test == pytest.approx(unseen[0] - unseen[1], rel=1e-6)
+    _, (before, after) = diagnosis.shown  # as in the table of errors
+    assert step.fall.test == pytest.approx(before[0] - after[0], rel=1e-6)
     value, std = value_text(row["value"], row["std"]), std_text(row["std"])  # as in its table
     assert f"(load_friction: {value} ± {std} N·m per N·m; " in diagnosis.sentence
 
 
 def test_two_hidden_effects_are_named():
-    diagnosis = diagnosis_of(("load_friction", 0, 1.5), ("viscous_polynomial", 1, 10.0))
+    hidden = ("load_friction", 0, 1.5), ("viscous_polynomial", 1, 10.0)
+    diagnosis = diagnosis_of(*hidden)
     assert {s.label for s in diagnosis.steps} == {"load_friction:1", "viscous_polynomial:2"}
+    train, _ = two_runs(*hidden)
+    for step in diagnosis.steps:
+        others = ",".join(s.label for s in diagnosis.steps if s is not step)
+        without = lieid.identify(
+            MODEL.with_effect(others), train, processing=diagnosis.fit.processing
+        )
+        # Shapes are not in these models, so that a fit without the step is the linear one.
+        fall = without.rms_cv[step.joint] - diagnosis.fit.rms_cv[step.joint]
+        assert step.fall.cv == pytest.approx(fall, rel=3e-2)
 
 
 @pytest.mark.parametrize("seed", [10, 20, 30])
