@@ -33,11 +33,7 @@ from lieid_casadi.diagnosis.missing import MissingEffects, Proposal
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.transients import Event
-from lieid_casadi.errors import (
-    DropoutWarning,
-    IdentificationError,
-    unique_warnings,
-)
+from lieid_casadi.errors import DropoutWarning, IdentificationError, unique_warnings
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
 from lieid_casadi.model import Model, as_model

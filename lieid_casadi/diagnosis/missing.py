@@ -21,7 +21,7 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round, search
-from lieid_casadi.diagnosis.smooth_functions import followed_signals
+from lieid_casadi.diagnosis.smooth_functions import followed_signals, own_signals
 from lieid_casadi.diagnosis.step import Difference, MotionGain
 from lieid_casadi.diagnosis.steps import (
     Accepted,
@@ -37,11 +37,7 @@ from lieid_casadi.diagnosis.steps import (
     unexplained_parts,
 )
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
-from lieid_casadi.errors import (
-    LieidError,
-    NoSolution,
-    unique_warnings,
-)
+from lieid_casadi.errors import LieidError, NoSolution, unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.fit_warnings import OF_LIMIT, OF_NUMBERS
 from lieid_casadi.identification.identify import Estimated, Method, identify_segments
@@ -415,6 +411,7 @@ class MissingEffects:
         sure = [c for slot, c in candidates.items() if slot.reason(self.options) is None]
         sure += [a.candidate for a in accepted]
         have = {a.placement.label for a in accepted}
+        functions = [a.candidate for a in accepted if a.candidate.name == SMOOTH]
         for slot, candidate in candidates.items():
             if not candidate.of_arm:
                 continue
@@ -424,11 +421,14 @@ class MissingEffects:
             if reason is not None and slot.fall >= self.options.worth and slot.deviations > 0.0:
                 self.undecided[label] = slot.deviations
             errors = found.held_out_errors(slot)
+            if any(_contains(function, candidate) for function in functions):
+                reason = "a smooth function of its signals was found before it"
             if reason is None and label not in have and not self._agreed(label, slot.joint, errors):
                 reason = "rejected by the user"
                 self.refused.add(label)
             if reason is None:
                 new.append(slot)
+                functions += [candidate] if candidate.name == SMOOTH else []
             else:
                 self.rejected[label] = reason
         groups = [slot.group for slot in new]
@@ -534,6 +534,12 @@ class MissingEffects:
 def _elsewhere(candidate: Candidate, others: Sequence[Candidate]) -> int:
     """Return the number of other joints that have the same effect."""
     return len({c.joint for c in others if c.name == candidate.name} - {candidate.joint})
+
+
+def _contains(function: Candidate, other: Candidate) -> bool:
+    """Return whether an effect is a piece of the form of a function of its joint's one signal."""
+    signals = own_signals(other.effect) if "time" not in other.effect.signals else ()
+    return function.joints == other.joints and signals == (function.effect.option,)
 
 
 def _is_limit(candidate: Candidate) -> bool:

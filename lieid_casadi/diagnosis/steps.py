@@ -180,7 +180,8 @@ def steps_of(
         so_far = final.errors(np.concatenate(later)) if later else complete
         without, j = first if len(accepted) == 1 else final.errors(columns[k]), found.joint
         fall = Fall(*(_difference(without[name], complete[name], j) for name in IN_MOTION))
-        before, after = (_value(errors["rms_cv"], j) for errors in (without, complete))
+        after = float(fit.rms_cv[j])
+        before = after + float(fall.cv or 0.0)
         _, _, numbers = fitted_values(fit, found.placement)
         steps.append(
             Step(
@@ -410,10 +411,6 @@ def late_friction(found: Round, worth: float) -> list[LateFrictionWarning]:
 def _acts_on(label: str, joint: int) -> bool:
     where = label.partition(":")[2].partition("<")[0]
     return where == str(joint + 1)
-
-
-def _value(errors: Array | None, joint: int) -> float:
-    return float("nan") if errors is None else float(errors[joint])
 
 
 def _difference(before: Array | None, after: Array | None, joint: int) -> float | None:

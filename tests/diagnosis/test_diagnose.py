@@ -285,7 +285,7 @@ def test_effects_return_where_the_form_in_their_place_is_not_needed():
 
 
 def searched(implausible, *labels):
-    """Return what a search knows whose fits are the labels of their effects."""
+    """Return the parts of a search that a refusal needs; its fits are the labels of effects."""
     search = SimpleNamespace(
         candidates=candidates_of(*labels),
         rejected={},
