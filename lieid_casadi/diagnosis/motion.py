@@ -11,7 +11,7 @@ all instants of its windows: at their ends alone, some are near zero by chance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -44,6 +44,8 @@ class UnseenMotion:
     folds: Folds
     window: float  # s
     windows: tuple[tuple[Run, Indices, Indices], ...]
+    #: that were simulated: a fit is compared with those without each of its effects
+    errors: dict[Fit, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, rows: Rows, folds: Folds) -> UnseenMotion | None:
@@ -76,11 +78,13 @@ class UnseenMotion:
 
     def _errors(self, fit: Fit) -> Array:
         """Return simulated minus measured positions (W, T, n) in the windows."""
-        require_positive_mass_matrix(fit, [run for run, _, _ in self.windows])
-        fits = self._fits_without(fit)
-        return np.concatenate(
-            [window_errors([fits[k] for k in p], run, s) for run, s, p in self.windows if len(s)]
-        )
+        if fit not in self.errors:
+            require_positive_mass_matrix(fit, [run for run, _, _ in self.windows])
+            fits = self._fits_without(fit)
+            self.errors[fit] = np.concatenate(
+                [window_errors([fits[k] for k in p], r, s) for r, s, p in self.windows if len(s)]
+            )
+        return self.errors[fit]
 
     def _fits_without(self, fit: Fit) -> list[Fit]:
         """Return the fit without each of the held-out parts."""

@@ -215,7 +215,8 @@ class Drive:
 
     def _with(self, values: Array, s: JointState, term: str, scale: str = "") -> Array:
         """Return values (…, n) with what effects add to their joints, times their scales."""
-        found = np.broadcast_to(values, s.dq.shape).copy()
+        found = np.empty(s.dq.shape)
+        found[...] = values
         for effect in self._defining[term] if term else ():
             found[..., effect.joint] += getattr(effect, term)(s)
         for effect in self._defining[scale] if scale else ():

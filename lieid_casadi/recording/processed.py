@@ -114,11 +114,18 @@ class Processed:
         the time before: interpolating the samples between two rows would make it smaller.
         """
         assert self.command is not None
-        edges = self.t - delay + hold * np.linspace(0.5, -0.5, parts + 1)[:, None]
-        inside = np.clip(edges, self.t[0], self.t[-1])
-        ends = np.where(edges < self.t[0], *self.command[[0, -1], joint])
-        integral = self._command_integrals[joint](inside) + (edges - inside) * ends
-        return np.asarray(-np.diff(integral, axis=0) * parts / hold)
+        if (key := (joint, parts)) not in self._held or self._held[key][0] != (delay, hold):
+            edges = self.t - delay + hold * np.linspace(0.5, -0.5, parts + 1)[:, None]
+            inside = np.clip(edges, self.t[0], self.t[-1])
+            ends = np.where(edges < self.t[0], *self.command[[0, -1], joint])
+            integral = self._command_integrals[joint](inside) + (edges - inside) * ends
+            self._held[key] = (delay, hold), -np.diff(integral, axis=0) * parts / hold
+        return self._held[key][1]
+
+    @cached_property
+    def _held(self) -> dict[tuple[int, int], tuple[tuple[float, float], Array]]:
+        """The last `held_command` of each joint and number of parts, and what it is for."""
+        return {}
 
     @cached_property
     def _command_integrals(self) -> list[PPoly]:
