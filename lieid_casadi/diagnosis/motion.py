@@ -44,8 +44,7 @@ class UnseenMotion:
     folds: Folds
     window: float  # s
     windows: tuple[tuple[Run, Indices, Indices], ...]
-    #: that were simulated: a fit is compared with those without each of its effects
-    errors: dict[Fit, Array] = field(default_factory=dict)
+    errors: dict[Fit, Array] = field(default_factory=dict)  # of the fits that were simulated
 
     @classmethod
     def of(cls, rows: Rows, folds: Folds) -> UnseenMotion | None:
@@ -80,10 +79,9 @@ class UnseenMotion:
         """Return simulated minus measured positions (W, T, n) in the windows."""
         if fit not in self.errors:
             require_positive_mass_matrix(fit, [run for run, _, _ in self.windows])
-            fits = self._fits_without(fit)
-            self.errors[fit] = np.concatenate(
-                [window_errors([fits[k] for k in p], r, s) for r, s, p in self.windows if len(s)]
-            )
+            fits, used = self._fits_without(fit), [w for w in self.windows if len(w[1])]
+            found = [window_errors([fits[k] for k in part], run, s) for run, s, part in used]
+            self.errors[fit] = np.concatenate(found)
         return self.errors[fit]
 
     def _fits_without(self, fit: Fit) -> list[Fit]:
