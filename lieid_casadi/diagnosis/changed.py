@@ -37,7 +37,7 @@ from lieid_casadi.diagnosis.steps import (
     signals_of,
     unexplained_parts,
 )
-from lieid_casadi.errors import UnidentifiableWarning, unique_warnings
+from lieid_casadi.errors import unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.uncertainty.covariance import prior_rows
@@ -81,13 +81,13 @@ def diagnose_changed(
     ratio = np.where(np.isfinite(beyond), beyond, 0.0)
     parts = unexplained_parts(
         ratio,
-        options.largest_change,
+        options.largest_error,
         lambda j: followed_signals(rows, beside, j, expected),
         differing,
         rejected,
         [""] * len(ratio),
     )
-    uncertain = (after > options.largest_change) & (ratio <= options.largest_change)
+    uncertain = (after > options.largest_error) & (ratio <= options.largest_error)
     absorbed, weak = absorbed_and_weak(found)
     report("done", 1.0)
     return Diagnosis(
@@ -110,16 +110,11 @@ def diagnose_changed(
         tried=sum(c.of_arm for c in found.paths.columns.owners),
         absorbed=absorbed,
         weak=weak,
-        warnings=unique_warnings(
-            [
-                *fit.model.unusable_effects,
-                *before.warnings,
-                *_warnings(after, expected, uncertain),
-            ]
-        ),
+        warnings=unique_warnings([*fit.model.unusable_effects, *before.warnings]),
         train=fit.provenance.recordings,
         test=before.recordings,
         limits_reached=("most_steps",) if len(found.slots) >= options.most_steps else (),
+        uncertain=tuple((int(j), float(after[j])) for j in np.flatnonzero(uncertain)),
     )
 
 
@@ -335,15 +330,3 @@ def _numbers(found: Round, change: _Change) -> dict[str, tuple[float, float, str
         p.name.rpartition(".")[2]: (float(v), float(s), p.unit)
         for p, v, s in zip(parameters, [*change.values, *shapes], std, strict=True)
     }
-
-
-def _warnings(after: Array, expected: Array, uncertain: Mask) -> list[UnidentifiableWarning]:
-    """Return a warning of each joint (n,) whose large error uncertain parameters explain."""
-    return [
-        UnidentifiableWarning(
-            f"joint {j + 1}: the error is {after[j] * expected[j]:.3g} N·m, expected "
-            f"{expected[j]:.3g} N·m; the uncertainty of the fit's parameters explains it. "
-            "Fit recordings of larger motion to find smaller changes"
-        )
-        for j in np.flatnonzero(uncertain)
-    ]

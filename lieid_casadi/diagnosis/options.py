@@ -32,14 +32,11 @@ class DiagnosisOptions:
     #: Standard errors by which an effect must be better than a rival to be named. Statistics:
     #: Vuong, Econometrica 1989.
     rival_deviations: float = 2.0
-    #: Error in motion relative to the noise floor above which a model is not sufficient.
-    #: Simulations: complete models stay below it.
+    #: Error in motion above which a model is not sufficient, relative to the noise floor or, of a
+    #: kept model, to that expected. Simulations: complete models stay below it.
     largest_error: float = 1.5
     #: Error of a kept model relative to its expected one above which something has changed.
     #: Simulations.
     least_misfit: float = 1.15
     #: Least relative fall of a joint's error by a change since a fit. Simulations.
     worth_of_change: float = 0.1
-    #: Error of a kept model relative to its expected one above which it is not explained.
-    #: Simulations.
-    largest_change: float = 3.0

@@ -17,6 +17,7 @@ from lieid_casadi.diagnosis.findings import (
     finding,
     findings,
     join_words,
+    uncertain_sentence,
     unexplained_sentence,
 )
 from lieid_casadi.diagnosis.step import (
@@ -77,6 +78,9 @@ class Diagnosis:
         Options whose limit ended the search.
     events : tuple of Event
         Stretches that were left out.
+    uncertain : tuple of (int, float)
+        Joints, from 0, and the error of a kept model over that expected, where the uncertainty of
+        its parameters explains it.
     motion : MotionGain or None
         Of arms under commands: errors of the simulated motion of the first and the final fit on
         held-out data.
@@ -104,6 +108,7 @@ class Diagnosis:
     seed: int = 0
     motion: MotionGain | None = None
     undecided: tuple[tuple[str, float], ...] = ()
+    uncertain: tuple[tuple[int, float], ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -141,7 +146,8 @@ class Diagnosis:
         if self.verdict == "sufficient" and self.mode == "missing":
             parts.append("No effect lowers the error of data that its choice did not see.")
         elif self.verdict == "sufficient":
-            parts.append("Nothing has changed since the fit.")
+            certain = "No change since the fit is certain." if self.uncertain else ""
+            parts.append(certain or "Nothing has changed since the fit.")
         if self.limits_reached:
             parts.append(
                 f"The search ended at its limit ({join_words(self.limits_reached)}); "
@@ -155,6 +161,7 @@ class Diagnosis:
                 "than two in each held-out part, so that the evidence is uncertain; record longer."
             )
         parts += [difference_sentence(each) for each in self.differing]
+        parts += [uncertain_sentence(self.uncertain)] if self.uncertain else []
         return parts + [unexplained_sentence(part) for part in self.unexplained]
 
     @property

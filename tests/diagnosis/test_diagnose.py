@@ -44,7 +44,6 @@ from lieid_casadi.errors import (
     IdentificationError,
     LateFrictionWarning,
     SameRecordingWarning,
-    UnidentifiableWarning,
 )
 from lieid_casadi.recording import process
 from lieid_casadi.tables import std_text, value_text
@@ -768,8 +767,10 @@ def test_an_error_within_the_uncertainty_of_the_fit_is_no_change():
     )
     assert found.baseline["rms_test_moving"][0] > 3.0 * found.expected[0]
     assert (found.steps, found.verdict) == ((), "sufficient")
-    warnings = [str(w) for w in found.warnings if isinstance(w, UnidentifiableWarning)]
-    assert any("joint 1: the error is" in text for text in warnings)
+    ratio = dict(found.uncertain)[0]
+    assert ratio == pytest.approx(found.baseline["rms_test_moving"][0] / found.expected[0])
+    assert found.sentences[0] == "No change since the fit is certain."
+    assert f"{ratio:.1f}" in found.sentences[-1]
 
 
 def test_extend_shows_the_fall():
