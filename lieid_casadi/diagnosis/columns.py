@@ -8,9 +8,8 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.diagnosis.candidates import Candidate, Course
 from lieid_casadi.effects import ArmEffect, Effect
 from lieid_casadi.expressions.effect_function import OWN, EffectFunction
@@ -24,7 +23,6 @@ from lieid_casadi.identification.regression.segment_columns import (
 from lieid_casadi.identification.uncertainty.noise_model import Runs
 from lieid_casadi.recording import Processed
 
-Indices = NDArray[np.intp]
 #: Columns (N_j, c) by joint, of one candidate at one grid point.
 PointColumns = Mapping[int, Array]
 #: Values of a shape parameter that a scan evaluates at once: bounds the memory.

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Mask
 from lieid_casadi.diagnosis.transients import Event, transient_events
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
@@ -88,7 +88,7 @@ def _without(recording: Recording, events: Sequence[Event]) -> Recording:
     )
 
 
-def moves_enough(robot: Robot, segments: Sequence[Processed]) -> NDArray[np.bool_]:
+def moves_enough(robot: Robot, segments: Sequence[Processed]) -> Mask:
     """Return whether each joint (n,) covers enough positions in at least one segment."""
     ranges = np.max([np.ptp(segment.q, axis=0) for segment in segments], axis=0)
     unit = np.array([1.0 if joint.revolute else PRISMATIC for joint in robot.joints])
@@ -124,11 +124,7 @@ def standstill_events(robot: Robot, segments: Sequence[Processed]) -> tuple[Even
     )
 
 
-def with_brief_effects(
-    fit: Fit,
-    recordings: Sequence[Recording],
-    method: Method,
-) -> Fit:
+def with_brief_effects(fit: Fit, recordings: Sequence[Recording], method: Method) -> Fit:
     """Return a fit whose transient errors are not those of effects that act for short times.
 
     The link of a joint with backlash hits the side of its play whenever its load changes its sign.

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.diagnosis.evidence import solved
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
@@ -25,8 +24,6 @@ from lieid_casadi.identification.regression.cross_validation import (
 from lieid_casadi.identification.regression.design_matrix import Design, with_priors
 from lieid_casadi.identification.regression.least_squares import Factor, Rows
 from lieid_casadi.recording import Processed
-
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)

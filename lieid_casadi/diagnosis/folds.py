@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr, stdtrit
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.step import LEAST_STRETCHES
 from lieid_casadi.identification.uncertainty.noise_model import (
@@ -19,7 +18,6 @@ from lieid_casadi.identification.uncertainty.noise_model import (
 )
 from lieid_casadi.recording.periods import detect_period
 
-Mask = NDArray[np.bool_]
 LARGEST_GAP = 1.0  # of the length of a part: seven tenths of the rows remain
 LEAST_OTHERS = 1e-3  # of what is expected of an effect, in the parts beside one
 SMALLEST_TAIL = 1e-30  # probability of a deviation: the inverse of the distribution is finite
@@ -36,7 +34,7 @@ class Folds:
     out: Mask
     gap: float
     #: (n,): stretches of the recordings, as long as the correlation of each joint's residual
-    independent: NDArray[np.intp]
+    independent: Indices
 
     @property
     def count(self) -> int:
@@ -97,7 +95,7 @@ def redundancy(noise: Noise) -> float:
     return max(long_run / noise.spread**2, 1.0)
 
 
-def places(rows: Rows, count: int) -> tuple[NDArray[np.intp], Array]:
+def places(rows: Rows, count: int) -> tuple[Indices, Array]:
     """Return the part of each instant of the common time line, and its time, s.
 
     Time counts while some joint moves, so that no part is a rest.

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.diagnosis.folds import Folds, places
-from lieid_casadi.diagnosis.rows import Indices, Rows
+from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.step import MotionGain
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along

@@ -13,12 +13,10 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.diagnosis.columns import Columns
 
-Mask = NDArray[np.bool_]
 #: Part of the information on a direction of the model that the rows of a path must contain. With
 #: less the direction keeps its value of the whole fit.
 LEAST_INFORMATION = 0.3
@@ -38,7 +36,7 @@ class Span:
     #: (R + k,)
     residual: Array
     #: (n + 1,): joint j has rows ends[j] to ends[j + 1]; R rows in all
-    ends: NDArray[np.intp]
+    ends: Indices
 
     @classmethod
     def of(
@@ -68,7 +66,7 @@ class Span:
         return [slice(int(a), int(b)) for a, b in pairwise(self.ends)]
 
     @cached_property
-    def joint_of(self) -> NDArray[np.intp]:
+    def joint_of(self) -> Indices:
         """Joint of each row (R,)."""
         return np.repeat(np.arange(len(self.ends) - 1), np.diff(self.ends))
 

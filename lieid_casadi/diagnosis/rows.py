@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.comparison.noise_floor import FASTEST, WAVES
 from lieid_casadi.diagnosis.candidates import Candidate, Course, CourseKind, list_candidates
 from lieid_casadi.diagnosis.columns import (
@@ -36,8 +35,6 @@ from lieid_casadi.identification.uncertainty.noise_model import (
     spread_of,
 )
 from lieid_casadi.recording import Processed
-
-Indices = NDArray[np.intp]
 
 REACH = 1.0  # periods of the cut-off frequency
 FEWEST = 5  # instants in a recording at which a change is tried
@@ -222,7 +219,7 @@ class Rows:
         return self._shifted_friction(EARLY)
 
     @cached_property
-    def away_from_reversals(self) -> tuple[NDArray[np.bool_], ...]:
+    def away_from_reversals(self) -> tuple[Mask, ...]:
         """Whether each row is farther than `REACH` from reversals and rests of its joint."""
         parts = [s.away_from_reversals(REACH / s.cutoff) for s in self.segments]
         away = np.concatenate(parts)

@@ -14,9 +14,8 @@ from math import comb
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.comparison.noise_floor import slow_functions
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.findings import number
@@ -201,7 +200,7 @@ def _candidate(rows: Rows, signals: Sequence[str], joint: int, *, whole: bool) -
     return Candidate(placement, shapes_of_data(alone, rows.segments)[None])
 
 
-def formula_of(rows: Rows, placement: Placement, own: NDArray[np.intp], values: Array) -> str:
+def formula_of(rows: Rows, placement: Placement, own: Indices, values: Array) -> str:
     """Return a formula that is close to a fitted smooth function; empty if none is.
 
     Both are compared outside the span of the other columns of the model, which may contain any

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Mask
 from lieid_casadi.dynamics import closed_form, recursion
 from lieid_casadi.dynamics.lie import Motion, constant, tool_pose
 from lieid_casadi.dynamics.regressor import regressor
@@ -36,7 +37,7 @@ class SegmentModel(Protocol):
         """q, dq, ddq (K, n)."""
 
     @property
-    def friction_known(self) -> NDArray[np.bool_]:
+    def friction_known(self) -> Mask:
         """Whether the friction of each joint is determined (K, n).
 
         At rest it is not, but a prediction takes it for zero there.

@@ -1,8 +1,8 @@
 """A torque that is recorded with a delay."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lieid_casadi.arrays import Mask
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
@@ -59,7 +59,7 @@ def delayed_change(t: Array, torque: Array, delay: float) -> Array:
     return (at(t - delay) - torque) / delay
 
 
-def where_known(change: Array, t: Array, known: NDArray[np.bool_], past: float) -> Array:
+def where_known(change: Array, t: Array, known: Mask, past: float) -> Array:
     """Return a change of torque (K, n), zero where it depends on unknown friction.
 
     That is within the memory ``past``, s (negative: the time to come), of rest, where friction has

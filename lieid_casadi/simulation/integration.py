@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.compiled.batch_evaluation import (
     Evaluation,
     MachineEvaluation,
@@ -24,7 +24,6 @@ from lieid_casadi.identification.fit import Fit
 from lieid_casadi.simulation.step import Coordinates, initial_state, plays_of, step_function
 
 Input = Literal["command", "torque"]
-Indices = NDArray[np.intp]
 #: Input (W, n), temperature (W, n) and time (W,) in a step, of some of the motions.
 Signals = Callable[[int, Indices], tuple[Array, Array, Array]]
 STEP = 1e-3  # s, longest step

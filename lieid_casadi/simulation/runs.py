@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.joint_elasticity import JointElasticity
 from lieid_casadi.errors import ModelError
@@ -17,7 +17,7 @@ from lieid_casadi.identification.prediction import relative_temperature
 from lieid_casadi.identification.recording_checks import check_joints
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.recording import Processed, Processing, Recording, process
-from lieid_casadi.simulation.integration import STEP, Indices, Input, delays_of, integrate
+from lieid_casadi.simulation.integration import STEP, Input, delays_of, integrate
 from lieid_casadi.simulation.step import Coordinates
 
 

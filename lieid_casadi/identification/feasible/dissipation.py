@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
@@ -23,7 +22,7 @@ LATE = 1e6  # s, after warm-up
 FAR = 100.0  # turns and seconds between samples: friction with states reaches full sliding
 
 
-def friction_columns(model: Model) -> NDArray[np.bool_]:
+def friction_columns(model: Model) -> Mask:
     """Mark the effect columns (m,) that are friction: of effects with q̇, its sign, or states.
 
     Offset, armature and springs are not friction and are not constrained.

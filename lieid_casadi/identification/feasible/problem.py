@@ -21,9 +21,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.compiled.triangular_factors import triangular
 from lieid_casadi.errors import IdentificationError, LieidWarning, NominalInertiaWarning, NoSolution
 from lieid_casadi.identification.regression.least_squares import Factor, unit_columns
@@ -176,7 +175,7 @@ class FeasibleProblem:
         return np.asarray(np.linalg.norm(r @ self.combination[:, 10 * self.n :], axis=0))
 
     @cached_property
-    def active(self) -> NDArray[np.bool_]:
+    def active(self) -> Mask:
         """Coefficients (m,) with an influence on some torque in the data."""
         size = self._column_sizes
         return np.asarray(size > NEGLIGIBLE * size.max(initial=0.0))

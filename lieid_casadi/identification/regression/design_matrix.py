@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.compiled.batch_evaluation import BaseBlocks
 from lieid_casadi.compiled.compiled_model import Part
@@ -23,7 +22,6 @@ from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.expressions.effect_function import EffectFunction
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
-    Indices,
     JointRows,
     Rows,
     combine,
@@ -47,7 +45,7 @@ FilteredColumns = dict[ColumnKey, Array]
 REVERSAL = 0.5  # periods of the cut-off frequency, for which the filter mixes a reversal with rows
 
 
-def varying_columns(model: Model) -> NDArray[np.bool_]:
+def varying_columns(model: Model) -> Mask:
     """Mark the effect columns (m,) that depend on shape parameters or on the load."""
     return np.array(
         [
@@ -59,7 +57,7 @@ def varying_columns(model: Model) -> NDArray[np.bool_]:
     )
 
 
-def has_dry_friction(model: Model) -> NDArray[np.bool_]:
+def has_dry_friction(model: Model) -> Mask:
     """Mark the joints (n,) with an effect whose torque is undetermined at rest."""
     dry = np.zeros(model.n, dtype=bool)
     for placement in model.placements:
@@ -68,7 +66,7 @@ def has_dry_friction(model: Model) -> NDArray[np.bool_]:
     return dry
 
 
-def usable_rows(model: Model, segment: Processed) -> NDArray[np.bool_]:
+def usable_rows(model: Model, segment: Processed) -> Mask:
     """Mark the filtered instants (M, n) at which friction is determined: the rows of a fit.
 
     Dry friction reverses some milliseconds before or after the velocity: links are elastic, and
@@ -83,7 +81,7 @@ def usable_rows(model: Model, segment: Processed) -> NDArray[np.bool_]:
     return usable
 
 
-def active_columns(compiled: Compiled) -> list[NDArray[np.intp]]:
+def active_columns(compiled: Compiled) -> list[Indices]:
     """Return the base columns (a,) that can act on each joint (n)."""
     model, functions = compiled.model, compiled.functions
     acts = np.zeros((model.n, model.base.count), dtype=bool)

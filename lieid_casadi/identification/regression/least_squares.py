@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.compiled.triangular_factors import Triangle, triangular
 from lieid_casadi.dynamics.base_parameters import BaseParameters
 from lieid_casadi.errors import IdentificationError
-
-Indices = NDArray[np.intp]
 
 RANK_TOLERANCE = 1e-9  # of scaled columns; below it a direction is not excited
 VANISHING = 1e-100  # norm of a column that counts as zero: its inverse squared must be finite
@@ -83,7 +80,7 @@ class Rows:
             first = int(numbers[end - 1]) + 1 if end > start else first
         return numbers
 
-    def factors_at(self, instants: NDArray[np.bool_]) -> list[Factor]:
+    def factors_at(self, instants: Mask) -> list[Factor]:
         """Return one factor per joint of the rows at marked instants."""
         parts = []
         for joint in self.joints:

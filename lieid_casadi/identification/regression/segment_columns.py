@@ -8,9 +8,8 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.effects import Placement
 from lieid_casadi.effects.arm_effect import ArmEffect
@@ -49,7 +48,7 @@ class ModelAlongSegment:
         return self.segment.q, self.segment.dq, self.segment.ddq
 
     @property
-    def friction_known(self) -> NDArray[np.bool_]:
+    def friction_known(self) -> Mask:
         """Whether the friction of each joint is determined (K, n)."""
         moving = self.segment.moving
         return moving if self.unknown_at_rest else np.ones_like(moving)

@@ -20,9 +20,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.identification.regression.design_matrix import (
     Design,
@@ -175,7 +174,7 @@ class _Move:
 class WeightedProjection:
     """The weighted regression on the columns that depend on no fitted shape."""
 
-    def __init__(self, rows: Rows, varying: NDArray[np.intp], noise: Array) -> None:
+    def __init__(self, rows: Rows, varying: Indices, noise: Array) -> None:
         self.weights, self._rows = 1.0 / noise, rows
         fixed = np.setdiff1d(np.arange(rows.count), varying)
         factor = combine(joint_factors(rows), self.weights)

@@ -14,13 +14,11 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.effects.effect import DataRange, Shape
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.least_squares import Indices
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.recording import Processed
 
@@ -64,13 +62,13 @@ class ShapeRange:
         """Return ∂shape/∂place (s,)."""
         return np.where(self._logarithmic, shapes * self._decades, self.upper - self.lower)
 
-    def at_bound(self, shapes: Array) -> NDArray[np.bool_]:
+    def at_bound(self, shapes: Array) -> Mask:
         """Mark the shapes (s,) at an end of their range."""
         place = self.place(shapes)
         return np.asarray(np.minimum(place, 1.0 - place) < AT_BOUND)
 
     @cached_property
-    def _logarithmic(self) -> NDArray[np.bool_]:
+    def _logarithmic(self) -> Mask:
         return np.asarray(self.lower > 0.0)
 
     @cached_property

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import JointRows, Rows, solve, stacked
@@ -43,7 +43,7 @@ LONGEST = 2000  # lags
 class TimeLine:
     """All segments on one time axis, with gaps longer than any lag that is used."""
 
-    positions: NDArray[np.intp]  # (instants,) int: of each instant on the axis
+    positions: Indices  # (instants,) int: of each instant on the axis
     size: int  # length of the Fourier transforms
     longest: int  # largest lag that can be estimated
 
@@ -57,13 +57,13 @@ class TimeLine:
         total = int(rows.segments[-1]) + len(lengths) * longest
         return cls(positions, next_fast_len(total + 1, real=True), longest)
 
-    def transform(self, instants: NDArray[np.intp], values: Array) -> NDArray[np.complex128]:
+    def transform(self, instants: Indices, values: Array) -> NDArray[np.complex128]:
         """Return the Fourier transform (F, …) of values (R, …) at given instants, else zero."""
         placed = np.zeros((self.size, *values.shape[1:]))
         placed[self.positions[instants]] = values
         return np.asarray(rfft(placed, axis=0))
 
-    def back(self, instants: NDArray[np.intp], spectrum: NDArray[np.complex128]) -> Array:
+    def back(self, instants: Indices, spectrum: NDArray[np.complex128]) -> Array:
         """Return the values at given instants of a Fourier transform."""
         return np.asarray(irfft(spectrum, self.size, axis=0)[self.positions[instants]])
 
@@ -189,9 +189,7 @@ def _filtered_products(line: TimeLine, rows: Rows, density: NDArray[np.complex12
     return 0.5 * (total + total.T)
 
 
-def _transform_columns(
-    line: TimeLine, joint: JointRows, block: NDArray[np.intp]
-) -> NDArray[np.complex128]:
+def _transform_columns(line: TimeLine, joint: JointRows, block: Indices) -> NDArray[np.complex128]:
     """Return the transforms (F, c) of some base columns along one joint's rows."""
     values = np.zeros((len(joint.instant), len(block)))
     own, position = np.nonzero(joint.columns[:, None] == block[None, :])

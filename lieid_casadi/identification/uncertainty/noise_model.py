@@ -16,14 +16,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 from scipy.optimize import brentq
 from scipy.signal import oaconvolve
 from scipy.special import erf
 from scipy.stats import chi2
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import unit_columns
@@ -31,7 +30,6 @@ from lieid_casadi.identification.regression.segment_columns import effect_signal
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.processed import Processed
 
-Indices = NDArray[np.intp]
 RATE_OVER_CUTOFF = 2.0
 LARGEST_ORDER = 8
 ROWS_PER_LAG = 25  # of the autoregression; with fewer rows its order is lower
@@ -64,9 +62,7 @@ class Runs:
         return np.asarray(spread / np.hypot(spread, self.friction_std))
 
 
-def runs_of(
-    usable: NDArray[np.bool_], segments: Sequence[Processed], friction_std: Array
-) -> tuple[Runs, ...]:
+def runs_of(usable: Mask, segments: Sequence[Processed], friction_std: Array) -> tuple[Runs, ...]:
     """Return the runs of each joint: decimated instants among the usable ones."""
     decimated, first = [], 0
     for segment in segments:
@@ -78,7 +74,7 @@ def runs_of(
     )
 
 
-def _runs(usable: NDArray[np.bool_], decimated: Sequence[Indices], friction_std: Array) -> Runs:
+def _runs(usable: Mask, decimated: Sequence[Indices], friction_std: Array) -> Runs:
     runs: list[Indices] = []
     for instants in decimated:
         breaks = np.flatnonzero(np.diff(usable[instants].astype(int))) + 1
