@@ -2,7 +2,7 @@
 
 from lieid_casadi.diagnosis.diagnose import diagnose
 from lieid_casadi.diagnosis.extend import Extension, extend
-from lieid_casadi.diagnosis.missing import Proposal
+from lieid_casadi.diagnosis.gates import Proposal
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.step import Difference, Evidence, Fall, Rival, Step, Unexplained

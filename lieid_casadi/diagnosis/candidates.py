@@ -1,4 +1,8 @@
-"""Candidates: every effect of the library on every joint, or pair of joints for couplings."""
+"""Candidates: every effect of the library on every joint, or pair of joints for couplings.
+
+Their values are limited by what the motion resolves, and by checks: an ordered list of functions
+that return why fitted values are implausible, or None.
+"""
 
 from __future__ import annotations
 
@@ -36,6 +40,9 @@ VELOCITY_SCALES = (3.0, 0.35)
 #: dead zone: friction that builds up sooner changes its sign at another instant, and no more. Such
 #: a hysteresis is tried, so that no other effect is in its place, and refused.
 LEAST_WIDTH = 6.0
+LEAST_SHAPE = 0.5  # of the least value that the motion resolves
+AT_BOUND = 0.02  # relative distance from a bound
+LEAST_DELAY = 1.0  # samples: a velocity from differences is late by as much, commands are held
 
 CourseKind = Literal["later", "wave"]
 
@@ -291,3 +298,66 @@ def _placements(effect: Effect, n: int) -> list[Placement]:
     if effect.couples:
         return [Placement(effect, i, j) for i in range(n) for j in range(n) if i != j]
     return [Placement(effect, j) for j in range(n)]
+
+
+#: Of a candidate, its shape parameters and its coefficients: why they are implausible.
+Check = Callable[[Candidate, Array, Array, Sequence[Processed]], str | None]
+
+
+def implausible_value(
+    candidate: Candidate, shapes: Array, values: Array, segments: Sequence[Processed]
+) -> str | None:
+    """A coefficient outside the bounds that physics sets, or larger than on any real arm."""
+    for coefficient, value in zip(candidate.effect.coefficients, values, strict=False):
+        text = f"{coefficient.name} = {value:.3g} {coefficient.unit} is"
+        if not coefficient.lower <= value <= coefficient.upper:
+            return f"{text} physically implausible"
+        if abs(value) > coefficient.limit:
+            return f"{text} larger than on a real arm (limit {coefficient.limit:g})"
+    return None
+
+
+def unresolved_shape(
+    candidate: Candidate, shapes: Array, values: Array, segments: Sequence[Processed]
+) -> str | None:
+    """A shape parameter that the motion does not resolve, such as a velocity in the dead zone."""
+    for shape, value in zip(candidate.effect.shapes, shapes, strict=False):
+        least, _ = shape_limits(shape, segments, candidate.joint)
+        if shape.data is not None:
+            continue
+        if value >= shape.upper * (1.0 - AT_BOUND):
+            return f"{shape.name} = {value:.2g} {shape.unit} is at the upper end of its range"
+        if value < LEAST_SHAPE * least or value <= shape.lower * (1.0 + AT_BOUND):
+            return f"{shape.name} = {value:.2g} {shape.unit} is below what this motion can resolve"
+    return None
+
+
+def below_one_sample(
+    candidate: Candidate, shapes: Array, values: Array, segments: Sequence[Processed]
+) -> str | None:
+    """A delay of less than a sample where the signals themselves are uncertain by as much."""
+    rate = min(segment.recording.rate for segment in segments)
+    for coefficient, value in zip(candidate.effect.coefficients, values, strict=False):
+        lead = coefficient.resolved_by == "lead" and value < 0.0
+        sampled = lead or coefficient.resolved_by == "sample_time"
+        if sampled and abs(value) * rate < LEAST_DELAY:
+            return f"{coefficient.name} = {value:.2g} {coefficient.unit} is less than one sample"
+    return None
+
+
+#: In this order; the first reason counts.
+CHECKS: tuple[Check, ...] = (implausible_value, unresolved_shape, below_one_sample)
+
+
+def reason_against(
+    candidate: Candidate, shapes: Array, values: Array, segments: Sequence[Processed]
+) -> str | None:
+    """Return the first reason of `CHECKS` against the fitted values of a candidate, or None.
+
+    A change in the course of a recording may have either sign.
+    """
+    if candidate.course is not None:
+        return None
+    found = np.atleast_1d(values)
+    reasons = (check(candidate, shapes, found, segments) for check in CHECKS)
+    return next((reason for reason in reasons if reason is not None), None)

@@ -16,10 +16,9 @@ import numpy as np
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import compare
-from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.candidates import Candidate, reason_against
 from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations, solved, undetermined
 from lieid_casadi.diagnosis.folds import redundancy
-from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import PathState, Span
 from lieid_casadi.diagnosis.result import Diagnosis
@@ -33,8 +32,7 @@ from lieid_casadi.diagnosis.steps import (
     beside_smooth_functions,
     difference_of,
     groups_of,
-    share_of,
-    signals_of,
+    step_of,
     unexplained_parts,
 )
 from lieid_casadi.errors import unique_warnings
@@ -100,12 +98,7 @@ def diagnose_changed(
         noise_floor=before.noise_floor,
         noise_source=before.noise_source,
         baseline_effects=tuple(fit.model.effects),
-        baseline={
-            "rms_train": None,
-            "rms_test": before.rms,
-            "rms_test_moving": first * expected,
-            "rms_cv": None,
-        },
+        baseline=_new_errors(first * expected, before.rms),
         expected=expected,
         tried=sum(c.of_arm for c in found.paths.columns.owners),
         absorbed=absorbed,
@@ -188,10 +181,10 @@ def _reason(
     fall = float(np.where(raised, _falls(found, changes, change), -np.inf).max(initial=-np.inf))
     if fall < options.worth_of_change:
         return f"the error of a raised joint falls by only {100 * fall:.1f} %"
-    if slot.deviations < options.gain_deviations:
+    if slot.evidence.deviations < options.gain_deviations:
         return slot.reason(options)
     part = len(changes) / sum(c.of_arm for c in found.paths.columns.owners)
-    uncertain = undetermined(slot.certainty, change.deviations, part, options)
+    uncertain = undetermined(slot.evidence.gain_certainty, change.deviations, part, options)
     return None if uncertain is None else uncertain[0]
 
 
@@ -280,43 +273,31 @@ def _steps(
     torques = _torques(found, changes)
     complete = _misfit(found.rows, found.spread, torques) * found.spread
     groups = groups_of(accepted)
-    size = np.array([np.sqrt(np.mean(t**2)) if len(t) else np.nan for t in found.rows.torque])
     steps = []
     for k, (change, own) in enumerate(zip(changes, accepted, strict=True)):
-        j = own.joint
         without = _misfit(found.rows, found.spread, torques[:k] + torques[k + 1 :]) * found.spread
         so_far = _misfit(found.rows, found.spread, torques[: k + 1]) * found.spread
-        numbers = _numbers(found, change)
-        before, after = float(without[j]), float(complete[j])
+        before, after = float(without[own.joint]), float(complete[own.joint])
         steps.append(
-            Step(
-                label=own.placement.label,
-                effect=own.candidate.name,
-                joints=own.candidate.joints,
-                joint=j,
-                status=own.status,
-                parameters={name: value for name, (value, _, _) in numbers.items()},
-                std={name: std for name, (_, std, _) in numbers.items()},
-                units={name: unit for name, (_, _, unit) in numbers.items()},
+            step_of(
+                own,
+                _numbers(found, change),
                 before=before,
                 after=after,
                 fall=Fall(None, None, before - after),
-                share=share_of(before, after, float(size[j])),
-                confirmed=None,
-                evidence=replace(own.evidence, coefficient_deviations=change.deviations),
-                doubt=own.doubt,
-                rivals=own.rivals,
+                torque=found.rows.torque[own.joint],
                 group=groups[k],
-                depends_on=signals_of(own.placement),
-                errors={
-                    "rms_train": None,
-                    "rms_test": so_far,
-                    "rms_test_moving": so_far,
-                    "rms_cv": None,
-                },
+                deviations=change.deviations,
+                errors=_new_errors(so_far),
             )
         )
     return beside_smooth_functions(steps)
+
+
+def _new_errors(moving: Array, every: Array | None = None) -> dict[str, Array | None]:
+    """Return the errors of a model on new recordings, as `Step.errors`."""
+    of_all = moving if every is None else every
+    return {"rms_train": None, "rms_test": of_all, "rms_test_moving": moving, "rms_cv": None}
 
 
 def _numbers(found: Round, change: _Change) -> dict[str, tuple[float, float, str]]:

@@ -8,12 +8,12 @@ The method, for missing effects (`missing`):
    explain most (`path`), on all rows and on the rows outside each of ten held-out stretches of time
    (`folds`, `search`).
 3. Add the effects that lower the error of stretches which their choice did not see (`evidence`), if
-   their values are plausible (`gates`); smooth functions where no effect of the library does.
+   their values are plausible (`candidates`); smooth functions where no effect of the library does.
 4. Search again beside them, effects that several joints have on the others alone, and delays where
    friction reverses late; then fit the model with all of them by the procedure of `identify`, try
-   variants of friction over speed and rivals of delays, and leave out what lowers no held-out error
-   beside the others. Of arms under commands limits of the drives are searched first, and the
-   simulated motion must be better with each effect (`motion`).
+   variants of friction over speed and rivals of delays, and leave out what does not pass every
+   gate: it must lower the held-out error beside the others (`gates`). Of arms under commands limits
+   of the drives are searched first, and the simulated motion must be better (`motion`).
 5. State each effect with the numbers of this fit: what the error is without it (`steps`), and
    which effects would do as well (`rivals`). These decide the name, not whether it is added.
 
@@ -29,7 +29,8 @@ from dataclasses import replace
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.diagnosis.changed import diagnose_changed
 from lieid_casadi.diagnosis.events import held_joints, leave_out_events, with_brief_effects
-from lieid_casadi.diagnosis.missing import MissingEffects, Proposal
+from lieid_casadi.diagnosis.gates import Proposal
+from lieid_casadi.diagnosis.missing import diagnose_missing
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.transients import Event
@@ -111,7 +112,9 @@ def diagnose(
     if any(event.kind != "standstill" for event in events):
         first = identify(as_model(model), kept, method=method, processing=first.processing)
     kept_tests, test_events = leave_out_events(judged, tests) if tests else ([], ())
-    found = MissingEffects(first, kept, kept_tests, method, chosen, ask, report).diagnosis(seed)
+    found = diagnose_missing(
+        first, kept, kept_tests, method=method, options=chosen, ask=ask, report=report, seed=seed
+    )
     return _with_events(found, (*events, *test_events), [*recordings, *tests])
 
 

@@ -13,18 +13,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc, ndtri
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.folds import Folds
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Paths, Span
+from lieid_casadi.diagnosis.step import Evidence
 from lieid_casadi.effects.smooth import Smooth
 
-Mask = NDArray[np.bool_]
 DEPENDENT = 1e-8  # of a largest eigenvalue
 SMALLEST = 1e-12  # part of an error below which it counts as zero
 SMALLEST_TAIL = 1e-300  # probability of a deviation: the inverse of the distribution is finite
@@ -41,19 +40,10 @@ class Slot:
     """One effect of the path on all rows, as the held-out parts judge it."""
 
     group: int
-    #: (K,): ln of the error of each held-out part without it over that with it, on its joints
-    gains: Array
-    #: (K,): the same of what it changes there, if the error is uncorrelated with that
-    expected: Array
-    #: mean of the gains in its standard errors, and those as probable with equal parts
-    deviations: float
-    certainty: float
+    evidence: Evidence
     #: (n,) each: weighted held-out sum of squares of each joint without it and with it
     before: Array
     after: Array
-    #: fraction of the paths that contain it, and that contain it or a rival
-    selected: float
-    selected_any: float
     #: groups that are in its place in paths without it
     instead: tuple[int, ...]
     #: (k,): coefficients beside the whole path
@@ -72,13 +62,9 @@ class Slot:
         if self.fall < options.worth:
             falls = f"falls by only {100 * self.fall:.1f} %" if self.fall > 0 else "does not fall"
             return f"the held-out error of joint {self.joint + 1} {falls}"
-        limit = evidence_needed(options.gain_deviations, elsewhere)
-        if self.deviations < limit:
-            return (
-                f"the gain on held-out parts is {self.deviations:.1f} of its standard errors "
-                f"(limit {limit:g})"
-            )
-        return None
+        found, least = self.evidence.deviations, evidence_needed(options.gain_deviations, elsewhere)
+        text = f"the gain on held-out parts is {found:.1f} of its standard errors (limit {least:g})"
+        return text if found < least else None
 
 
 def evidence_needed(limit: float, elsewhere: int) -> float:
@@ -199,13 +185,16 @@ def judge(
         found.append(
             Slot(
                 group,
-                gains[e],
-                expected[e],
-                *folds.deviations(gains[e], expected[e], joint),
+                Evidence(
+                    tuple(map(float, gains[e])),
+                    tuple(map(float, expected[e])),
+                    *folds.deviations(gains[e], expected[e], joint),
+                    float(np.mean(own)),
+                    float(np.mean([bool(m[group]) for m in members])),
+                    int(folds.independent[joint]),
+                ),
                 before[e],
                 after[e],
-                float(np.mean(own)),
-                float(np.mean([bool(m[group]) for m in members])),
                 tuple(dict.fromkeys(instead)),
                 values[group],
                 joint,
@@ -336,7 +325,7 @@ def _members(
     path: Sequence[int],
     outside: dict[int, Array],
     torque: dict[int, Array],
-    owner: NDArray[np.intp],
+    owner: Indices,
 ) -> dict[int, tuple[int, ...]]:
     """Return the groups of a path that stand for each effect: itself, or else the most alike.
 

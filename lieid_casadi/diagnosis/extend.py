@@ -10,8 +10,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import compare
-from lieid_casadi.diagnosis.candidates import Candidate
-from lieid_casadi.diagnosis.gates import unresolved_shape
+from lieid_casadi.diagnosis.candidates import Candidate, unresolved_shape
 from lieid_casadi.diagnosis.steps import fitted_values
 from lieid_casadi.effects import Placement, parse_effects
 from lieid_casadi.errors import BoundWarning, EffectError, LieidWarning
@@ -66,7 +65,14 @@ class Extension:
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid extend --json`` writes."""
-        before, after = (self._model_dict(k) for k in (0, 1))
+        errors = {
+            name: getattr(self, name) for name in ("rms_train", "rms_test", "rms_test_moving")
+        }
+        before, after = (
+            {"effects": fit.model.effects}
+            | {name: None if x is None else numbers_or_none(x[k]) for name, x in errors.items()}
+            for k, fit in enumerate((self.before, self.after))
+        )
         return {
             "added": list(self.added),
             "before": before,
@@ -74,18 +80,6 @@ class Extension:
             "fall": numbers_or_none(1.0 - self.held_out[1] / self.held_out[0]),
             "parameters": self.parameters,
             "fit": self.after.to_dict(),
-        }
-
-    def _model_dict(self, row: int) -> dict[str, Any]:
-        """Return effects and errors of the model before (0) or after (1)."""
-        fit = (self.before, self.after)[row]
-        return {
-            "effects": fit.model.effects,
-            "rms_train": self.rms_train[row].tolist(),
-            "rms_test": None if self.rms_test is None else self.rms_test[row].tolist(),
-            "rms_test_moving": (
-                None if self.rms_test_moving is None else numbers_or_none(self.rms_test_moving[row])
-            ),
         }
 
     def plot(self, ax: Axes | None = None) -> Figure:
@@ -190,18 +184,13 @@ def _unresolved(
     fit: Fit, added: Sequence[Placement], train: Recording | Sequence[Recording]
 ) -> list[LieidWarning]:
     """Return a warning of each added effect with a shape parameter that the motion cannot show."""
-    segments = process(listed(train), fit.processing)
-    found: list[LieidWarning] = []
+    segments, reasons = process(listed(train), fit.processing), dict[str, str | None]()
     for placement in added:
         values, shapes, _ = fitted_values(fit, placement)
-        reason = unresolved_shape(Candidate(placement, shapes[None]), shapes, values, segments)
-        if reason is not None:
-            found.append(
-                BoundWarning(
-                    f"{placement.label}: {reason}: the effect is probably not present on this joint"
-                )
-            )
-    return found
+        candidate = Candidate(placement, shapes[None])
+        reasons[placement.label] = unresolved_shape(candidate, shapes, values, segments)
+    text = "the effect is probably not present on this joint"
+    return [BoundWarning(f"{label}: {why}: {text}") for label, why in reasons.items() if why]
 
 
 def _check_motion(wanted: Sequence[Placement], train: Recording | Sequence[Recording]) -> None:

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
-from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature
+from lieid_casadi.arrays import Array, Indices, Mask
+from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature, reason_against
 from lieid_casadi.diagnosis.evidence import ALIKE, Slot, part_of, solved
-from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.path import PathState
 from lieid_casadi.diagnosis.search import SMOOTH, Round
 from lieid_casadi.diagnosis.smooth_functions import own_signals
@@ -86,7 +84,7 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
     return examined
 
 
-def _near(found: Round, mine: Candidate, fine: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _near(found: Round, mine: Candidate, fine: Mask) -> Indices:
     """Return the groups that act on a joint of an effect."""
     columns = found.paths.columns
     acts = [mine.reaches_all or c.reaches_all or c.joint == mine.joint for c in columns.owners]
@@ -106,14 +104,14 @@ def _same_kind(mine: Candidate, other: Candidate) -> bool:
     return other.name == SMOOTH != mine.name and not contains
 
 
-def _blocks(found: Round) -> NDArray[np.intp]:
+def _blocks(found: Round) -> Indices:
     """Return the block of time of each row of the joints."""
     length = max(BLOCK, 2.0 * found.folds.gap)
     times = np.concatenate([found.rows.times[run.all] for run in found.rows.runs])
     return np.asarray(np.unique((times // length).astype(int), return_inverse=True)[1])
 
 
-def _squares(found: Round, columns: Sequence[Array], block: NDArray[np.intp]) -> Array:
+def _squares(found: Round, columns: Sequence[Array], block: Indices) -> Array:
     """Return the sum of squared errors of each block of the model with further columns."""
     residual = found.paths.span.residual
     more = np.hstack(list(columns))

@@ -10,14 +10,12 @@ from itertools import accumulate
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lieid_casadi.arrays import Array
-from lieid_casadi.diagnosis.candidates import Candidate, Course, CourseKind, is_form
+from lieid_casadi.arrays import Array, Indices
+from lieid_casadi.diagnosis.candidates import Candidate, Course, CourseKind, is_form, reason_against
 from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.evidence import Slot, gains_of, judge, solved
 from lieid_casadi.diagnosis.folds import Folds, folds_of
-from lieid_casadi.diagnosis.gates import reason_against
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, PathState, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows
@@ -210,7 +208,7 @@ def _lowers(
     return folds.deviations(gains, np.ones(len(gains)), joint)[0] > options.gain_deviations
 
 
-def _promising(paths: Paths, chosen: Sequence[Sequence[int]], rules: Rules) -> NDArray[np.intp]:
+def _promising(paths: Paths, chosen: Sequence[Sequence[int]], rules: Rules) -> Indices:
     """Return the groups that come near to their penalty beside some part of a path, and its own.
 
     The others would not be chosen on nine tenths of the rows either. What changes in the course of
@@ -296,7 +294,8 @@ def _leaving(
     certain = {
         int(columns.owner[slot.group])
         for slot, course in pairs
-        if course and slot.certainty >= CERTAINTY[course.kind] * options.name_deviations
+        if course
+        and slot.evidence.gain_certainty >= CERTAINTY[course.kind] * options.name_deviations
     }
     if certain == changes:
         return set()

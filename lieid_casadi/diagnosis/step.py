@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
-from lieid_casadi.simulation.integration import FARTHEST, LEAST_ERROR, Indices
+from lieid_casadi.simulation.integration import FARTHEST, LEAST_ERROR
 
 Status = Literal["named", "one_of", "shape"]
 #: Why the name of an effect without rivals is not certain: a path without some held-out part does
@@ -176,8 +176,6 @@ class Step:
     fall : Fall
     share : float
         RMS of the torque that it explains relative to the joint's torque.
-    confirmed : bool or None
-        Whether the test error falls; None without a test.
     evidence : Evidence
     doubt : str
         Why its name is not certain, rivals aside, or empty.
@@ -213,7 +211,6 @@ class Step:
     after: float
     fall: Fall
     share: float
-    confirmed: bool | None
     evidence: Evidence
     doubt: Doubt
     rivals: tuple[Rival, ...]
@@ -223,6 +220,11 @@ class Step:
     formula: str = ""
     rival_pairs: tuple[tuple[Rival, ...], ...] = ()
     motion: MotionGain | None = None
+
+    @property
+    def confirmed(self) -> bool | None:
+        """Whether the test error falls; None without a test."""
+        return None if self.fall.test is None else self.fall.test > 0.0
 
     @property
     def part(self) -> float:

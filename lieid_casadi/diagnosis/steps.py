@@ -55,30 +55,17 @@ class Accepted:
 
     @classmethod
     def of(
-        cls,
-        found: Round,
-        slot: Slot,
-        groups: Sequence[int],
-        options: DiagnosisOptions,
+        cls, found: Round, slot: Slot, groups: Sequence[int], options: DiagnosisOptions
     ) -> Accepted:
         """Return an effect of a round beside groups that are accepted with it."""
         candidate = found.candidate(slot.group)
         others = [g for g in groups if g != slot.group]
         near = rivals_of(found, slot, others, options.rival_deviations)
         rivals = tuple(rival for g, rival in near if found.candidate(g).of_arm)
-        evidence = Evidence(
-            tuple(map(float, slot.gains)),
-            tuple(map(float, slot.expected)),
-            slot.deviations,
-            slot.certainty,
-            slot.selected,
-            slot.selected_any,
-            int(found.folds.independent[slot.joint]),
-        )
         return cls(
             candidate,
             slot.joint,
-            evidence,
+            slot.evidence,
             rivals,
             _doubt(candidate, slot, options, sudden=len(rivals) < len(near)),
             found.held_out_errors(slot),
@@ -121,9 +108,9 @@ def _doubt(candidate: Candidate, slot: Slot, options: DiagnosisOptions, *, sudde
     ``sudden`` states whether a change at one instant would do as well.
     """
     # without a part of the data something else was in its place, or nothing
-    if slot.selected < 1.0:
+    if slot.evidence.selected < 1.0:
         return "selected"
-    if slot.certainty < options.name_deviations:
+    if slot.evidence.gain_certainty < options.name_deviations:
         return "gain"
     if sudden:
         return "instant"
@@ -153,7 +140,6 @@ def steps_of(
     final: FinalModel,
     accepted: Sequence[Accepted],
     rows: Rows,
-    torque: Array,
     first: dict[str, Array | None],
     tested: Comparison | None,
     *,
@@ -161,10 +147,9 @@ def steps_of(
 ) -> tuple[Step, ...]:
     """Return the steps of a final model: every number is that of its fit.
 
-    ``accepted`` is in the order of the path, ``rows`` are those of the final fit, ``torque`` (n,)
-    is the RMS of the measured torque, N·m, ``first`` has the errors of the first model (see
-    `errors_of`), and ``tested`` compares the final fit with the test. Without its only effect the
-    final model is the first one.
+    ``accepted`` is in the order of the path, ``rows`` are those of the final fit, ``first`` has the
+    errors of the first model (see `errors_of`), and ``tested`` compares the final fit with the
+    test. Without its only effect the final model is the first one.
     """
     fit = final.fit
     columns = [final.columns_of([a.placement]) for a in accepted]
@@ -181,34 +166,65 @@ def steps_of(
         without, j = first if len(accepted) == 1 else final.errors(columns[k]), found.joint
         fall = Fall(*(_difference(without[name], complete[name], j) for name in IN_MOTION))
         after = float(fit.rms_cv[j])
-        before = after + float(fall.cv or 0.0)
-        _, _, numbers = fitted_values(fit, found.placement)
-        steps.append(
-            Step(
-                label=found.placement.label,
-                effect=found.candidate.name,
-                joints=found.candidate.joints,
-                joint=j,
-                status=found.status,
-                parameters={name: value for name, (value, _, _) in numbers.items()},
-                std={name: std for name, (_, std, _) in numbers.items()},
-                units={name: unit for name, (_, _, unit) in numbers.items()},
-                before=before,
-                after=after,
-                fall=fall,
-                share=share_of(before, after, float(torque[j])),
-                confirmed=None if fall.test is None else fall.test > 0.0,
-                evidence=replace(found.evidence, coefficient_deviations=deviations),
-                doubt=found.doubt,
-                rivals=found.rivals,
-                group=groups[k],
-                depends_on=signals_of(found.placement),
-                formula=_formula(final, found.placement, rows) if found.status == "shape" else "",
-                rival_pairs=(replaced,) if len(replaced) > 1 else (),
-                errors=so_far,
-            )
+        step = step_of(
+            found,
+            fitted_values(fit, found.placement)[2],
+            before=after + float(fall.cv or 0.0),
+            after=after,
+            fall=fall,
+            torque=rows.torque[j],
+            group=groups[k],
+            deviations=deviations,
+            errors=so_far,
         )
+        formula = ""
+        if found.status == "shape":
+            formula = formula_of(rows, found.placement, columns[k], fit.values[columns[k]])
+        pairs = (replaced,) if len(replaced) > 1 else ()
+        steps.append(replace(step, formula=formula, rival_pairs=pairs))
     return beside_smooth_functions(steps)
+
+
+def step_of(
+    found: Accepted,
+    numbers: Mapping[str, tuple[float, float, str]],
+    *,
+    before: float,
+    after: float,
+    fall: Fall,
+    torque: Array,
+    group: int,
+    deviations: float,
+    errors: dict[str, Array | None],
+) -> Step:
+    """Return the step of an effect with value, standard deviation and unit of its parameters.
+
+    ``torque`` (R,) is the measured one of its joint, N·m, and ``deviations`` those of its
+    coefficients from zero.
+    """
+    explained, size = np.sqrt(max(before**2 - after**2, 0.0)), float(torque @ torque)
+    effect = found.placement.effect
+    signals = effect.option.split(".") if effect.name == SMOOTH else []
+    return Step(
+        label=found.placement.label,
+        effect=effect.name,
+        joints=found.candidate.joints,
+        joint=found.joint,
+        status=found.status,
+        parameters={name: value for name, (value, _, _) in numbers.items()},
+        std={name: std for name, (_, std, _) in numbers.items()},
+        units={name: unit for name, (_, _, unit) in numbers.items()},
+        before=before,
+        after=after,
+        fall=fall,
+        share=float(explained / np.sqrt(size / len(torque))) if size > 0.0 else float("nan"),
+        evidence=replace(found.evidence, coefficient_deviations=deviations),
+        doubt=found.doubt,
+        rivals=found.rivals,
+        group=group,
+        depends_on=tuple(named_column(signal, found.joint) for signal in signals),
+        errors=errors,
+    )
 
 
 def errors_of(fit: Fit, compared: Comparison | None) -> dict[str, Array | None]:
@@ -219,12 +235,6 @@ def errors_of(fit: Fit, compared: Comparison | None) -> dict[str, Array | None]:
         "rms_test_moving": None if compared is None else compared.rms_moving,
         "rms_cv": fit.rms_cv,
     }
-
-
-def _formula(final: FinalModel, smooth: Placement, rows: Rows) -> str:
-    """Return a formula that is close to a smooth function."""
-    own = final.columns_of([smooth])
-    return formula_of(rows, smooth, own, final.fit.values[own])
 
 
 def beside_smooth_functions(steps: Sequence[Step]) -> tuple[Step, ...]:
@@ -257,21 +267,6 @@ def groups_of(accepted: Sequence[Accepted]) -> list[int]:
     ]
     order = list(dict.fromkeys(names))
     return [order.index(name) + 1 for name in names]
-
-
-def share_of(before: float, after: float, torque: float) -> float:
-    """Return the RMS torque that lowers an error so, relative to the joint's; NaN without any."""
-    explained = float(np.sqrt(max(before**2 - after**2, 0.0)))
-    return explained / torque if torque > 0.0 else float("nan")
-
-
-def signals_of(placement: Placement) -> tuple[str, ...]:
-    """Return the signals of a smooth function as columns are named, ``dq3``; none of others."""
-    effect = placement.effect
-    if effect.name != SMOOTH:
-        return ()
-    parts = effect.option.split(".")
-    return tuple(named_column(part, placement.joint) for part in parts)
 
 
 def difference_of(found: Round, slot: Slot, *, of_model: bool) -> Difference:

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.spatial import KDTree
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.effects.torque_delay import delayed_change
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature, torque_along
@@ -30,7 +29,6 @@ from lieid_casadi.identification.uncertainty.noise_model import (
 from lieid_casadi.messages import joints_text
 from lieid_casadi.recording import Processed, Recording, process
 
-Mask = NDArray[np.bool_]
 #: Robust standard deviations of a joint's error, beyond friction at rest, from which an error may
 #: be transient, and those at the ends of the stretch; ends are also relative to the peak.
 LEAST, LEAST_END, END_PART = 12.0, 4.0, 0.1
@@ -100,10 +98,7 @@ class Event:
         }
 
 
-def transient_events(
-    fit: Fit,
-    recordings: Sequence[Recording],
-) -> tuple[Event, ...]:
+def transient_events(fit: Fit, recordings: Sequence[Recording]) -> tuple[Event, ...]:
     """Return the transient errors of a fit along recordings with torques, in the order of time."""
     segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
     signals = [ResidualSignals.of(fit, segment) for segment in segments]
@@ -113,7 +108,7 @@ def transient_events(
         size = own.excess / scale
         errors = [e for j in range(fit.model.n) for e in _outstanding(own, size, j)]
         events = _together(errors, own.time)
-        if sum(e.last - e.first for e in events) <= MOST_TIME * len(own.time):
+        if sum(e.stop - e.start for e in events) <= MOST_TIME * len(own.time):
             found += [_event(own, scale, event) for event in events]
     return tuple(found)
 
@@ -139,11 +134,7 @@ def _scale(signals: Sequence[ResidualSignals]) -> Array:
     return np.asarray(np.maximum(found, np.maximum(least, 1e-9)))
 
 
-def _outstanding(
-    own: ResidualSignals,
-    size: Array,
-    joint: int,
-) -> list[Stretch]:
+def _outstanding(own: ResidualSignals, size: Array, joint: int) -> list[slice]:
     """Return the errors of a joint that are far above all others and not due to its motion."""
     peaks = _peaks(own.time, size[:, joint])
     sizes = np.array([size[k, joint] for k in peaks])
@@ -155,7 +146,7 @@ def _outstanding(
     stretches = [_around(size[:, joint], k) for k in peaks]
     inside = np.zeros(len(size), dtype=bool)
     for stretch in stretches:
-        inside[stretch.first : stretch.last] = True
+        inside[stretch] = True
     return [
         stretch
         for stretch in stretches
@@ -176,38 +167,41 @@ def _peaks(time: Array, size: Array) -> list[int]:
         found.append(k)
         if size[k] < LEAST:
             break
-        stretch = _around(size, k)
-        allowed &= (time < time[stretch.first] - GAP) | (time > time[stretch.last - 1] + GAP)
+        allowed &= _apart(time, _around(size, k))
     return found
 
 
-def _around(size: Array, peak: int) -> Stretch:
+def _around(size: Array, peak: int) -> slice:
     """Return the rows around a peak until the error is small."""
     low = size < max(LEAST_END, END_PART * size[peak])
     before, after = np.flatnonzero(low[:peak]), np.flatnonzero(low[peak:])
     first = int(before[-1]) + 1 if len(before) else 0
     last = peak + int(after[0]) if len(after) else len(size)
-    return Stretch(first, last)
+    return slice(first, last)
 
 
-def _together(errors: Sequence[Stretch], time: Array) -> list[Stretch]:
+def _together(errors: Sequence[slice], time: Array) -> list[slice]:
     """Return the stretches in the order of time, those that overlap or nearly so joined."""
-    joined: list[Stretch] = []
-    for error in sorted(errors, key=lambda e: e.first):
-        if joined and time[error.first] - time[joined[-1].last - 1] < GAP:
-            before = joined.pop()
-            last = max(before.last, error.last)
-            joined.append(Stretch(before.first, last))
-        else:
-            joined.append(error)
+    joined: list[slice] = []
+    for error in sorted(errors, key=lambda e: e.start):
+        if joined and time[error.start] - time[joined[-1].stop - 1] < GAP:
+            error = slice(joined[-1].start, max(joined.pop().stop, error.stop))
+        joined.append(error)
     return joined
 
 
-def _event(own: ResidualSignals, scale: Array, stretch: Stretch) -> Event:
-    rows = slice(stretch.first, stretch.last)
-    joints = tuple(int(j) for j in np.flatnonzero((own.excess / scale)[rows].max(axis=0) > LEAST))
-    start, end = float(own.time[rows.start]), float(own.time[rows.stop - 1])
-    peak = float(np.abs(own.transient[rows][:, joints]).max())
+def _apart(time: Array, stretch: slice) -> Mask:
+    """Return the rows (M,) that are long before or after a stretch."""
+    gap = np.maximum(time[stretch.start] - time, time - time[stretch.stop - 1])
+    return np.asarray(gap > GAP)
+
+
+def _event(own: ResidualSignals, scale: Array, stretch: slice) -> Event:
+    joints = tuple(
+        int(j) for j in np.flatnonzero((own.excess / scale)[stretch].max(axis=0) > LEAST)
+    )
+    start, end = float(own.time[stretch.start]), float(own.time[stretch.stop - 1])
+    peak = float(np.abs(own.transient[stretch][:, joints]).max())
     segment = own.segment
     fault = _fault(own, stretch)
     kind: Kind = "fault" if fault else "contact"
@@ -222,11 +216,11 @@ def _event(own: ResidualSignals, scale: Array, stretch: Stretch) -> Event:
     return Event(kind, source, start, end, joints, peak, sentence)
 
 
-def _fault(own: ResidualSignals, stretch: Stretch) -> str:
+def _fault(own: ResidualSignals, stretch: slice) -> str:
     """Return what shows a fault of the recorder in a stretch, or an empty text."""
     segment, raw = own.segment, own.segment.recording
     assert raw.tau is not None
-    start, end = own.time[stretch.first], own.time[stretch.last - 1]
+    start, end = own.time[stretch.start], own.time[stretch.stop - 1]
     margin = 0.5 / segment.cutoff
     rows = np.flatnonzero((raw.t >= start - margin) & (raw.t <= end + margin))
     tau = raw.tau[rows]
@@ -384,15 +378,7 @@ def _without_columns(error: Array, columns: Array, moving: Mask) -> Array:
     return found
 
 
-@dataclass(frozen=True)
-class Stretch:
-    """Rows ``first`` to ``last`` − 1 with an outstanding error."""
-
-    first: int
-    last: int
-
-
-def returns_with_state(own: ResidualSignals, stretch: Stretch, joint: int, inside: Mask) -> bool:
+def returns_with_state(own: ResidualSignals, stretch: slice, joint: int, inside: Mask) -> bool:
     """Return whether an error returns with the motion, or cannot be compared with other times.
 
     ``inside`` (M,) are the rows of all stretches, which are not compared.
@@ -402,13 +388,13 @@ def returns_with_state(own: ResidualSignals, stretch: Stretch, joint: int, insid
     return visits < LEAST_VISITS or similar > MOST_SIMILAR * visits
 
 
-def returns_with_position(own: ResidualSignals, stretch: Stretch, joint: int) -> bool:
+def returns_with_position(own: ResidualSignals, stretch: slice, joint: int) -> bool:
     """Return whether an error returns on most passes through its positions, as at a rough spot.
 
     It has the same sign on all of them, or that of the velocity. A push of a joint that is held
     is none: the joint stays at one position.
     """
-    if own.still[stretch.first : stretch.last, joint].any():
+    if own.still[stretch, joint].any():
         return False
     error = own.transient[:, joint]
     near = _near(own.place[:, [joint]], SAME_PLACE, own.excess[:, joint], stretch)
@@ -419,26 +405,25 @@ def returns_with_position(own: ResidualSignals, stretch: Stretch, joint: int) ->
     return False
 
 
-def _near(signals: Array, width: float, excess: Array, stretch: Stretch) -> Mask:
+def _near(signals: Array, width: float, excess: Array, stretch: slice) -> Mask:
     """Return the rows (M,) whose signals (M, s) are those of a stretch where its error is large."""
-    own = excess[stretch.first : stretch.last]
-    large = stretch.first + np.flatnonzero(own > 0.5 * own.max())
+    own = excess[stretch]
+    large = stretch.start + np.flatnonzero(own > 0.5 * own.max())
     distance = KDTree(signals[large]).query(signals, p=np.inf)[0]
     return np.asarray(distance < width)
 
 
 def _visits(
-    own: ResidualSignals, stretch: Stretch, joint: int, near: Mask, signed: Array
+    own: ResidualSignals, stretch: slice, joint: int, near: Mask, signed: Array
 ) -> tuple[int, int]:
     """Count the other passes through rows that are near, and those with a similar error.
 
     A similar error has the sign of that at the peak in ``signed`` (M,).
     """
     size, time = own.excess[:, joint], own.time
-    at = stretch.first + int(np.argmax(size[stretch.first : stretch.last]))
-    apart = (time < time[stretch.first] - GAP) | (time > time[stretch.last - 1] + GAP)
+    at = stretch.start + int(np.argmax(size[stretch]))
     similar = (np.sign(signed) == np.sign(signed[at])) & (size > SIMILAR * size[at])
-    where = np.flatnonzero(near & apart)
+    where = np.flatnonzero(near & _apart(time, stretch))
     if not len(where):
         return 0, 0
     visit = np.cumsum(np.diff(time[where], prepend=time[where[0]]) > GAP)

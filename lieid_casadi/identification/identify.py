@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -212,7 +213,7 @@ def identify_segments(
         warnings=unique_warnings(found), provenance=provenance or Provenance(_version(), ()),
         temperature_mean=temperature_mean,
     )  # fmt: skip
-    return Estimated(fit, lambda: _with_uncertainty(fit, design, least, state, consistent))
+    return Estimated(fit, cache(lambda: _with_uncertainty(fit, design, least, state, consistent)))
 
 
 def _with_uncertainty(

@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from itertools import combinations
 from types import SimpleNamespace
 
@@ -20,13 +20,18 @@ from scipy.stats import t as student
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import DiagnosisOptions, evidence, missing, search, smooth_functions
-from lieid_casadi.diagnosis.candidates import Candidate, shape_grid
+from lieid_casadi.diagnosis import (
+    DiagnosisOptions,
+    evidence,
+    gates,
+    missing,
+    search,
+    smooth_functions,
+)
+from lieid_casadi.diagnosis.candidates import Candidate, shape_grid, unresolved_shape
 from lieid_casadi.diagnosis.columns import scan_peaks
 from lieid_casadi.diagnosis.findings import finding
 from lieid_casadi.diagnosis.folds import folds_of
-from lieid_casadi.diagnosis.gates import unresolved_shape
-from lieid_casadi.diagnosis.missing import MissingEffects
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
@@ -213,6 +218,7 @@ def test_effects_that_remain_have_the_stated_part_of_false_ones(strong, candidat
     left = [
         SimpleNamespace(
             candidate=Candidate(placement, np.zeros((1, 0))),
+            placement=SimpleNamespace(label=str(k)),
             evidence=SimpleNamespace(gain_certainty=value**2 / coefficients),
             coefficient_deviations=lambda fit, coefficients=coefficients: coefficients,
             value=value,
@@ -221,10 +227,9 @@ def test_effects_that_remain_have_the_stated_part_of_false_ones(strong, candidat
         for coefficients in [max(2.0, 0.8 * value) if k % 2 else 1.2 * value]
     ]
     search = SimpleNamespace(options=DiagnosisOptions(), candidates=range(candidates))
-    while out := [a for a in left if MissingEffects._undetermined(search, a, left, None)]:
-        _, deviations = MissingEffects._undetermined(search, out[-1], left, None)
-        assert deviations < 3.0  # so that an experiment asks for more data
-        left.remove(out[-1])
+    while out := gates.undetermined_effect(gates.State(search, None, tuple(left))):
+        assert all(each.deviations < 3.0 for each in out.values())  # more data may change it
+        left = [a for a in left if a.placement.label not in out]
     others = [1.0] * (candidates - len(strong))
     rates = false_discovery_control([*(2.0 * norm.sf(x) for x in strong), *others])
     expected = [x for x, rate in zip(strong, rates, strict=False) if rate <= 0.1]
@@ -251,49 +256,51 @@ def test_the_nearest_rival_stands_for_an_effect_that_is_implausible(rivals, aske
     joints = {"time_shift": (), "stribeck:1": (0,)}
     stated = [Rival(r, r.partition(":")[0], joints.get(r, (1,)), "data") for r in rivals]
     kept, refused = accepted_as("torque_ripple:1"), accepted_as("stribeck:2", *stated)
-    search = searched(refused, "coulomb:2", "viscous:2", "presliding:2", "time_shift")
-    search._agreed = agree
-    fit, found = MissingEffects._plausible(search, [refused, kept])
-    assert fit == [a.placement.label for a in found] == left
+    state = searched(refused, "coulomb:2", "viscous:2", "presliding:2", "time_shift", agree=agree)
+    found = gates.plausible(state, [refused, kept])
+    assert found.fit == [a.placement.label for a in found.accepted] == left
     assert questions == asked
-    assert search.refused == {"stribeck:2"}
+    assert found.refused == {"stribeck:2"}
+    assert not state.refused
 
 
 def test_effects_return_where_the_form_in_their_place_is_implausible():
     viscous, ripple = accepted_as("viscous_polynomial:1"), accepted_as("torque_ripple:2")
     form = replace(accepted_as("stribeck/exponent:1"), replaced=(viscous,))
-    search = searched(form)
-    fit, left = MissingEffects._plausible(search, [form, ripple])
-    assert left == [viscous, ripple]
-    assert fit == ["viscous_polynomial:1", "torque_ripple:2"]
-    assert search.refused == {"stribeck/exponent:1"}
+    found = gates.plausible(searched(form), [form, ripple])
+    assert found.accepted == (viscous, ripple)
+    assert found.fit == ["viscous_polynomial:1", "torque_ripple:2"]
+    assert found.refused == {"stribeck/exponent:1"}
 
 
-def test_effects_return_where_the_form_in_their_place_is_not_needed():
+def test_effects_return_where_the_form_in_their_place_is_not_needed(monkeypatch):
+    def not_needed(state):
+        leaving = gates.Rejection("not needed")
+        return {form.placement.label: leaving} if form in state.accepted else {}
+
     viscous, ripple = accepted_as("viscous_polynomial:1"), accepted_as("torque_ripple:2")
     form = replace(accepted_as("stribeck/exponent:1"), replaced=(viscous,))
-    search = SimpleNamespace(
-        _with_other_forms=lambda fit, accepted: (fit, [ripple, form]),
-        _complete=lambda added: [a.placement.label for a in added],
-        _needed=lambda fit, added: [a for a in added if a is not form],
-        _plausible=lambda added: (None, added),
-    )
-    fit, left = MissingEffects._final(search, None, [ripple, viscous])
-    assert left == [ripple, viscous]
-    assert fit == ["torque_ripple:2", "viscous_polynomial:1"]
+    monkeypatch.setattr(gates, "GATES", (not_needed,))
+    found = gates.passed(replace(searched(None), accepted=(ripple, form)))
+    assert found.accepted == (ripple, viscous)
+    assert found.fit == ["torque_ripple:2", "viscous_polynomial:1"]
+    assert found.rejected["stribeck/exponent:1"].reason == "not needed"
 
 
-def searched(implausible, *labels):
-    """Return the parts of a search that a refusal needs; its fits are the labels of effects."""
-    search = SimpleNamespace(
+def searched(implausible, *labels, agree=None):
+    """Return the state of a search whose fits are the labels of effects."""
+
+    def labels_of(added):
+        return [a.placement.label for a in added]
+
+    shared = SimpleNamespace(
         candidates=candidates_of(*labels),
-        rejected={},
-        refused=set(),
-        _fitted=lambda added: [a.placement.label for a in added],
-        _reason_against=lambda fit, a: "implausible" if a is implausible else None,
+        agreed=agree,
+        fitted=labels_of,
+        complete=labels_of,
+        reason_against=lambda fit, a: "implausible" if a is implausible else None,
     )
-    search._with_plausible_values = partial(MissingEffects._with_plausible_values, search)
-    return search
+    return gates.State(shared, None)
 
 
 def test_noise_exceeds_deviations_of_coefficients_as_often_as_a_normal_number():

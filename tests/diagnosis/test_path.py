@@ -122,10 +122,10 @@ def test_effects_that_are_there_are_selected_in_every_path_and_noise_is_not_supp
     assert {2, 5} <= set(found)
     for group, slot in found.items():
         if group in (2, 5):
-            assert slot.selected == 1.0
-            assert slot.deviations > 3.0
+            assert slot.evidence.selected == 1.0
+            assert slot.evidence.deviations > 3.0
         else:
-            assert slot.deviations < 2.0
+            assert slot.evidence.deviations < 2.0
 
 
 @pytest.mark.parametrize(
@@ -163,13 +163,13 @@ def test_a_part_whose_path_lacks_the_effect_counts_against_it():
     model, residual, columns = problem(3, signal=(2,), size=0.4)
     span, folds = Span.of(model, np.split(residual, 2)), parts(10)
     paths, rows = Paths(span, columns, folds.out), np.ones(len(span.residual), dtype=bool)
-    (every,), _ = judge(paths, folds, [2], [[2]] * 10, {}, rows)
-    (some,), _ = judge(paths, folds, [2], [[2]] * 6 + [[]] * 4, {}, rows)
-    assert not some.gains[6:].any()
-    assert (some.expected[6:] > 0.0).all()
+    found = (judge(paths, folds, [2], own, {}, rows) for own in ([[2]] * 10, [[2]] * 6 + [[]] * 4))
+    every, some = (slot.evidence for (slot,), _ in found)
+    assert not any(some.gains[6:])
+    assert min(some.expected[6:]) > 0.0
     assert some.deviations < every.deviations
     present = np.where(np.arange(10) < 6, some.expected, 0.0)
-    assert some.deviations < 0.9 * folds.deviations(some.gains, present, 1)[0]
+    assert some.deviations < 0.9 * folds.deviations(np.array(some.gains), present, 1)[0]
 
 
 def test_an_effect_is_judged_without_a_smooth_function_that_came_after_it_and_contains_it():
@@ -187,8 +187,8 @@ def test_an_effect_is_judged_without_a_smooth_function_that_came_after_it_and_co
     for order, least in (([0, 1], 3.0), ([1, 0], -np.inf)):
         slots, _ = judge(paths, folds, order, [order] * 10, {}, np.ones(ROWS, dtype=bool))
         (found,) = (slot for slot in slots if slot.group == 0)
-        assert found.deviations > least
-    assert found.deviations < 2.0  # the function was there before it
+        assert found.evidence.deviations > least
+    assert found.evidence.deviations < 2.0  # the function was there before it
 
 
 @pytest.mark.parametrize(("with_all", "expected"), [(1, 0), (0, 1)])
@@ -246,7 +246,7 @@ def test_a_dead_band_counts_where_friction_neither_reverses_nor_rests():
     paths = Paths(span, columns, folds.out)
     friction = {kind: np.zeros((ROWS, 1)) for kind in ("late", "early", "rest")}
     found = [
-        judge(paths, folds, [0], [[0]] * 10, friction, steady)[0][0].deviations
+        judge(paths, folds, [0], [[0]] * 10, friction, steady)[0][0].evidence.deviations
         for steady in (np.ones(ROWS, dtype=bool), ~reversal)
     ]
     assert found[0] > 3.0
