@@ -137,5 +137,8 @@ def shown(diagnosis: lieid.Diagnosis) -> Iterator[str | Table | LieidWarning]:
             effects = ",".join(diagnosis.fit.model.effects)
             yield f"The model with these effects: --effects '{effects}'"
     yield rejected_table(diagnosis)
-    yield f"{diagnosis.tried} candidates were tried. {alias_sentence(diagnosis)}".rstrip()
+    if not diagnosis.rejected:  # whose table states it
+        yield f"{diagnosis.tried} candidates were tried."
+    if aliases := alias_sentence(diagnosis):
+        yield aliases
     yield from diagnosis.warnings
