@@ -282,6 +282,8 @@ class Unexplained:
         Where it is that large: ``training recordings`` or ``test``; empty without a test.
     beyond_noise : bool
         Whether the error is so large; otherwise a part of it changes with time.
+    differs : bool
+        Whether a part of it differs between the recordings or changes with time.
     """
 
     joint: int
@@ -291,6 +293,7 @@ class Unexplained:
     candidates: tuple[tuple[str, str], ...] = ()
     recordings: str = ""
     beyond_noise: bool = True
+    differs: bool = False
 
     @property
     def relation(self) -> str:
@@ -298,9 +301,11 @@ class Unexplained:
         if not self.beyond_noise:
             return f"{100 * self.fraction:.0f} % of the error's square change with time"
         where = f" on the {self.recordings}" if self.recordings else ""
+        rest = "neither an effect of the library nor a smooth function lowers it on held-out data"
+        if self.differs:
+            rest = "what differs between the recordings, or changes with time, is a part of it"
         return (
-            f"the error in motion{where} is {self.ratio:.2g} times what noise explains, and "
-            "neither an effect of the library nor a smooth function lowers it on held-out data"
+            f"the error in motion{where} is {self.ratio:.2g} times what noise explains, and {rest}"
         )
 
     def to_dict(self) -> dict[str, Any]:

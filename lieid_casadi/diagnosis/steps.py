@@ -164,7 +164,8 @@ def steps_of(
         later = columns[k + 1 :]
         so_far = final.errors(np.concatenate(later)) if later else complete
         without, j = first if len(accepted) == 1 else final.errors(columns[k]), found.joint
-        fall = Fall(*(_difference(without[name], complete[name], j) for name in IN_MOTION))
+        errors = [(without[name], complete[name]) for name in IN_MOTION]
+        fall = Fall(*(None if b is None or a is None else float(b[j] - a[j]) for b, a in errors))
         after = float(fit.rms_cv[j])
         step = step_of(
             found,
@@ -341,10 +342,13 @@ def unexplained_parts(
     large = [int(j) for j in np.argsort(-ratio) if ratio[j] > limit]
     found = []
     for j in dict.fromkeys([*changing, *large]):
-        own = tuple((k, why) for k, why in rejected.items() if _acts_on(k, j))
+        of_joint = {k: k.partition(":")[2].partition("<")[0] == f"{j + 1}" for k in rejected}
+        own = tuple((k, why) for k, why in rejected.items() if of_joint[k])
         fraction = float(1.0 - ratio[j] ** -2) if j in large else changing[j].fraction
         signals = changing[j].depends_on if j in changing else follows(j)
-        found.append(Unexplained(j, fraction, float(ratio[j]), signals, own, where[j], j in large))
+        differs = any(each.joints == (j,) for each in differing)
+        more = (own, where[j], j in large, differs)
+        found.append(Unexplained(j, fraction, float(ratio[j]), signals, *more))
     return tuple(found)
 
 
@@ -401,17 +405,6 @@ def late_friction(found: Round, worth: float) -> list[LateFrictionWarning]:
             "torque away from reversals distinguish the two"
         )
     ]
-
-
-def _acts_on(label: str, joint: int) -> bool:
-    where = label.partition(":")[2].partition("<")[0]
-    return where == str(joint + 1)
-
-
-def _difference(before: Array | None, after: Array | None, joint: int) -> float | None:
-    if before is None or after is None:
-        return None
-    return float(before[joint] - after[joint])
 
 
 def other_forms(

@@ -41,7 +41,8 @@ def test_friction_that_changes_at_an_instant_is_stated_and_no_effect_takes_its_p
     assert found.since == pytest.approx(INSTANT, abs=0.1)
     assert found.parameters["f_c"] == pytest.approx(size, rel=0.1)
     (part,) = diagnosis.unexplained
-    assert (part.joint, part.depends_on) == (1, ("t", "dq2"))
+    assert (part.joint, part.depends_on, part.differs) == (1, ("t", "dq2"), True)
+    assert "nor a smooth function lowers it" not in diagnosis.sentence
     written = diagnosis.to_dict()
     (stated,) = written["differs_between_recordings"]
     assert (stated["from"], stated["period"]) == (found.since, None)
