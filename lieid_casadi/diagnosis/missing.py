@@ -187,7 +187,7 @@ def _offered(state: State, found: Round) -> tuple[State, list[Accepted]]:
         reason = slot.reason(options, elsewhere=elsewhere(candidate, sure))
         deviations = slot.evidence.deviations
         weak = reason is not None and slot.fall >= options.worth and deviations > 0.0
-        if any(contains(function, candidate) for function in functions):
+        if any(_contains(function, candidate) for function in functions):
             reason = "a smooth function of its signals was found before it"
         elif reason is None and label not in have and not state.search.agreed(label, joint, errors):
             reason = "rejected by the user"
@@ -203,11 +203,10 @@ def _offered(state: State, found: Round) -> tuple[State, list[Accepted]]:
     return replace(state, rejected=rejected, refused=frozenset(refused)), accepted
 
 
-def contains(function: Candidate, other: Candidate) -> bool:
-    """Return whether an effect without memory is a piece of a function of the same signals."""
-    same = set(own_signals(other.effect)) == set(function.effect.option.split("."))
-    memory = other.effect.states or "time" in other.effect.signals
-    return function.joints == other.joints and same and not memory
+def _contains(function: Candidate, other: Candidate) -> bool:
+    """Return whether an effect is a piece of the form of a function of its joint's one signal."""
+    signals = own_signals(other.effect) if "time" not in other.effect.signals else ()
+    return function.joints == other.joints and signals == (function.effect.option,)
 
 
 def _with_set_apart(state: State, found: Round) -> State:

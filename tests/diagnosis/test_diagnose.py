@@ -287,28 +287,6 @@ def test_effects_return_where_the_form_in_their_place_is_not_needed(monkeypatch)
     assert found.rejected["stribeck/exponent:1"].reason == "not needed"
 
 
-@pytest.mark.parametrize(
-    ("function", "label", "contained"),
-    [
-        ("smooth/dq:2", "stribeck:2", True),
-        ("smooth/q.dq:2", "position_friction:2", True),
-        ("smooth/dq.q:2", "position_friction:2", True),
-        ("smooth/q.dq:2", "stribeck:2", False),  # which corrects it at all positions
-        ("smooth/q:2", "position_friction:2", False),  # which depends on the velocity, too
-        ("smooth/q.dq:2", "position_friction:1", False),
-        ("smooth/dq.q1:2", "transmission_coupling:2<1", False),
-        ("smooth/q.dq:2", "presliding:2", False),  # hysteresis
-        ("smooth/q.dq:2", "warm_up:2", False),  # changes with time
-        ("smooth/q.dq:2", "torque_delay:2", False),
-    ],
-)
-def test_a_function_of_signals_contains_effects_of_the_same_without_memory(
-    function, label, contained
-):
-    (function,), (other,) = (candidates_of(each).values() for each in (function, label))
-    assert missing.contains(function, other) is contained
-
-
 def searched(implausible, *labels, agree=None):
     """Return the state of a search whose fits are the labels of effects."""
 
