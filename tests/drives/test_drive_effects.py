@@ -12,7 +12,7 @@ from drives.commanded import LAWS, TWO_LINK, commanded, measured
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.cli.main import main
-from lieid_casadi.diagnosis import events, missing
+from lieid_casadi.diagnosis import events, gates
 from lieid_casadi.diagnosis.folds import folds_of
 from lieid_casadi.diagnosis.motion import UnseenMotion
 from lieid_casadi.diagnosis.result import motion_table
@@ -415,14 +415,14 @@ def test_an_effect_without_which_the_arm_moves_as_well_is_not_added(runs, monkey
 def test_effects_without_a_physically_consistent_fit_are_refused(runs, monkeypatch):
     """Those that the path added last, since the first ones explain most."""
     half = runs[0].rows(0, len(runs[0]) // 2)
-    train, fit_of = with_torque(delayed(with_deadband(half), joint=0)), missing.identify_segments
+    train, fit_of = with_torque(delayed(with_deadband(half), joint=0)), gates.identify_segments
 
     def only_one(compiled, *others, **options):
         if len(compiled.model.placements) > len(lieid.Model(ROBOT, BASE).placements) + 1:
             raise NoSolution("the solver failed")
         return fit_of(compiled, *others, **options)
 
-    monkeypatch.setattr(missing, "identify_segments", only_one)
+    monkeypatch.setattr(gates, "identify_segments", only_one)
     found = lieid.diagnose(lieid.Model(ROBOT, BASE), train)
     assert len(found.steps) <= 1
     assert "no physically consistent fit with it was found" in dict(found.rejected).values()
