@@ -146,8 +146,8 @@ class Diagnosis:
         if self.verdict == "sufficient" and self.mode == "missing":
             parts.append("No effect lowers the error of data that its choice did not see.")
         elif self.verdict == "sufficient":
-            certain = "No change since the fit is certain." if self.uncertain else ""
-            parts.append(certain or "Nothing has changed since the fit.")
+            unchanged = "Nothing has changed since the fit."
+            parts.append("No change since the fit is certain." if self.uncertain else unchanged)
         if self.limits_reached:
             parts.append(
                 f"The search ended at its limit ({join_words(self.limits_reached)}); "

@@ -342,13 +342,14 @@ def unexplained_parts(
     large = [int(j) for j in np.argsort(-ratio) if ratio[j] > limit]
     found = []
     for j in dict.fromkeys([*changing, *large]):
-        of_joint = {k: k.partition(":")[2].partition("<")[0] == f"{j + 1}" for k in rejected}
-        own = tuple((k, why) for k, why in rejected.items() if of_joint[k])
+        here = {k for k in rejected if k.partition(":")[2].partition("<")[0] == f"{j + 1}"}
+        own = tuple((k, why) for k, why in rejected.items() if k in here)
         fraction = float(1.0 - ratio[j] ** -2) if j in large else changing[j].fraction
         signals = changing[j].depends_on if j in changing else follows(j)
         differs = any(each.joints == (j,) for each in differing)
-        more = (own, where[j], j in large, differs)
-        found.append(Unexplained(j, fraction, float(ratio[j]), signals, *more))
+        found.append(
+            Unexplained(j, fraction, float(ratio[j]), signals, own, where[j], j in large, differs)
+        )
     return tuple(found)
 
 
