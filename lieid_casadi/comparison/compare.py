@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -137,7 +136,7 @@ def _trained_on(fit: Fit, comparison: Comparison) -> list[errors.LieidWarning]:
     again = [
         source.name or "a recording"
         for source in comparison.recordings
-        if any(_overlap(source, trained) for trained in fit.provenance.recordings)
+        if fit.provenance.contains(source)
     ]
     if not again:
         return []
@@ -173,18 +172,3 @@ def _beyond_training(fit: Fit, segments: Sequence[Processed]) -> list[errors.Lie
                 )
             )
     return found
-
-
-_NUMBER = r"((?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?)"
-_PART = re.compile(rf"(?:@| episodes ){_NUMBER}:{_NUMBER}$")
-
-
-def _overlap(a: recording_checks.Source, b: recording_checks.Source) -> bool:
-    """Return whether two recordings share samples: the same data with overlapping parts."""
-    if not a.sha256 or a.sha256 != b.sha256:
-        return False
-    ends = []
-    for source in (a, b):  # of a part, s or episodes; infinite if the name states none
-        start, end = found.groups() if (found := _PART.search(source.name)) else ("", "")
-        ends.append((float(start or -np.inf), float(end or np.inf)))
-    return max(start for start, _ in ends) < min(end for _, end in ends)

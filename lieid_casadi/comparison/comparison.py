@@ -12,11 +12,7 @@ from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import plots
 from lieid_casadi.comparison.noise_floor import SOURCES
 from lieid_casadi.comparison.series import LargeError, Series
-from lieid_casadi.errors import (
-    LieidWarning,
-    SameRecordingWarning,
-    warning_list,
-)
+from lieid_casadi.errors import LieidWarning, SameRecordingWarning, warning_list
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import numbers_or_none
 from lieid_casadi.messages import joints_text

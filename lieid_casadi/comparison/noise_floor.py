@@ -9,9 +9,10 @@ held-out blocks of time. Functions of the motion explain a part of slow noise by
 counts as noise unless they explain more of it than of the same error at every other time of the
 motion (shifted surrogates; Theiler et al., Physica D 1992). Nor is an error noise that follows
 slow functions of time, or dry friction that changes so, far more than noise with the spectrum of
-the rest would. On recordings that
-the fit did not use the floor contains the error of its uncertain parameters. It never exceeds the
-error itself.
+the rest would. Positions do not show to a sample when dry friction reverses: the floor contains
+what the error has beside reversals alone, as far as friction is uncertain there. On recordings that
+the fit did not use it contains the error of its uncertain parameters. It never exceeds the error
+itself.
 """
 
 from __future__ import annotations
@@ -24,15 +25,13 @@ from scipy.ndimage import uniform_filter1d
 from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.least_squares import (
-    JointRows,
-    Rows,
-    unit_columns,
-)
+from lieid_casadi.identification.regression.least_squares import JointRows, Rows, unit_columns
 from lieid_casadi.identification.regression.variable_projection import shape_columns
 from lieid_casadi.identification.uncertainty.noise_model import (
     common_effect_columns,
+    friction_torque_std,
     noise_of,
     runs_of,
 )
@@ -72,8 +71,8 @@ def noise_floor(
     """
     cutoff, design = segments[0].cutoff, Design(fit.compiled, segments)
     rows = design.rows(fit.shapes, fit.parameters)
-    trained = {each.sha256 for each in fit.provenance.recordings}
-    unseen = [s.recording.source_hash not in trained for s in segments]
+    unseen = [not fit.provenance.contains(Source.of(s.recording)) for s in segments]
+    residuals = rows.residuals(fit.lasting_values if all(unseen) else fit.values)
     repeated = [(period_noise(r, cutoff=cutoff), r.duration) for r in recordings]
     squares = [noise**2 for noise, _ in repeated if noise is not None]
     if squares:
@@ -81,8 +80,10 @@ def noise_floor(
         floor = np.asarray(np.sqrt(np.average(squares, axis=0, weights=durations)))
         source = "period_to_period"
     else:
-        floor, source = _independent_of_motion(fit, segments, rows, unseen=all(unseen)), "motion"
-    floor = np.minimum(floor, _without_slow(fit, segments, rows))
+        source = "motion"
+        floor = _independent_of_motion(fit, segments, rows, residuals, unseen=all(unseen))
+    floor = np.minimum(floor, _without_slow(segments, rows, residuals))
+    floor = np.hypot(floor, _uncertain_friction(fit, segments, rows, residuals, floor))
     if any(unseen):
         lengths = [len(s.filtered_time) for s in segments]
         # the covariance is that of the fit's residual, which contains a missing effect as well
@@ -94,14 +95,18 @@ def noise_floor(
 
 
 def _independent_of_motion(
-    fit: Fit, segments: Sequence[Processed], rows: Rows, *, unseen: bool
+    fit: Fit,
+    segments: Sequence[Processed],
+    rows: Rows,
+    residuals: Sequence[Array],
+    *,
+    unseen: bool,
 ) -> Array:
     """Return the RMS of what columns of the motion do not explain (n,), N·m.
 
     On recordings that are ``unseen`` the error of the fit's parameters depends on the motion: what
     else does is examined beside it.
     """
-    residuals = rows.residuals(fit.values)
     columns = np.concatenate([motion_columns(fit, segment) for segment in segments])
     couplings = np.concatenate([coupling_columns(segment) for segment in segments])
     time = segments[0].filtered_time
@@ -142,11 +147,11 @@ def _refitted(matrix: Array, residual: Array) -> Array:
     return np.asarray((residual - basis @ (basis.T @ residual)) / np.sqrt(left))
 
 
-def _without_slow(fit: Fit, segments: Sequence[Processed], rows: Rows) -> Array:
+def _without_slow(segments: Sequence[Processed], rows: Rows, residuals: Sequence[Array]) -> Array:
     """Return the RMS (n,) of what slow functions of time leave, where these are no noise, N·m."""
     floors = []
     direction = np.concatenate([_direction(segment) for segment in segments])
-    for j, residual in enumerate(rows.residuals(fit.values)):
+    for j, residual in enumerate(residuals):
         slow = _slow_part(segments, rows.joints[j], residual, direction[:, [j]])
         square = np.mean(residual**2) if len(residual) else np.inf
         floors.append(np.sqrt(square * (1.0 - slow)))
@@ -209,6 +214,34 @@ def _basis(columns: Array) -> Array:
     """Return an orthonormal basis (R, r) of the span of columns (R, k)."""
     u, sizes, _ = np.linalg.svd(unit_columns(columns)[0], full_matrices=False)
     return np.asarray(u[:, sizes > DEPENDENCE * sizes.max(initial=0.0)])
+
+
+def _uncertain_friction(
+    fit: Fit,
+    segments: Sequence[Processed],
+    rows: Rows,
+    residuals: Sequence[Array],
+    noise: Array,
+) -> Array:
+    """Return the RMS (n,) by which the error beside reversals leaves its course around them, N·m.
+
+    It is at most that of uncertain friction, and beyond the error elsewhere.
+    """
+    friction = np.concatenate(
+        [friction_torque_std(fit.compiled, s, fit.shapes, fit.parameters) for s in segments]
+    )
+    found = []
+    for j, residual in enumerate(residuals):
+        instant = rows.joints[j].instant
+        own = friction[instant, j]
+        here = own > noise[j]
+        if not here.any() or here.all():
+            found.append(0.0)
+            continue
+        course = np.interp(instant[here], instant[~here], residual[~here])
+        beyond = np.mean((residual[here] - course) ** 2) - np.mean(residual[~here] ** 2)
+        found.append(np.sqrt(np.clip(np.mean(here) * beyond, 0.0, np.mean(own**2))))
+    return np.array(found)
 
 
 def _uncertainty(fit: Fit, design: Design, rows: Rows) -> Array:

@@ -12,12 +12,7 @@ from lieid_casadi.arrays import Mask
 from lieid_casadi.diagnosis.transients import Event, transient_events
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
-from lieid_casadi.errors import (
-    HeldJointWarning,
-    IdentificationError,
-    NoSolution,
-    RecordingError,
-)
+from lieid_casadi.errors import HeldJointWarning, IdentificationError, NoSolution, RecordingError
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
 from lieid_casadi.identification.prediction import relative_temperature, torque_along

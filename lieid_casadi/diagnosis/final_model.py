@@ -90,7 +90,8 @@ class FinalModel:
         weights = 1.0 / self.fit.noise**2
         gram = np.einsum("j,jab->ab", weights, np.array(self.train)) + self.priors
         values[kept] = solved(gram[np.ix_(kept, kept)], gram[kept, -1])
-        test = None if self.test is None else _rms(self.test, self.test_counts, values)
+        lasting = values * (self.fit.lasting_values == self.fit.values)
+        test = None if self.test is None else _rms(self.test, self.test_counts, lasting)
         return {
             "rms_train": _rms(self.train, self.counts, values),
             "rms_test": test,

@@ -11,11 +11,7 @@ from scipy.special import stdtr, stdtrit
 from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.step import LEAST_STRETCHES
-from lieid_casadi.identification.uncertainty.noise_model import (
-    RATE_OVER_CUTOFF,
-    Noise,
-    noise_of,
-)
+from lieid_casadi.identification.uncertainty.noise_model import RATE_OVER_CUTOFF, Noise, noise_of
 from lieid_casadi.recording.periods import detect_period
 
 LARGEST_GAP = 1.0  # of the length of a part: seven tenths of the rows remain

@@ -270,6 +270,7 @@ def _described(
         state.differing,
         reasons,
         where,
+        {a.joint for a in state.accepted if a.candidate.effect.per_recording},
     )
     shown = after or fitted
     absorbed, weak = absorbed_and_weak(last, beside=last.rows.fit.model.placements)

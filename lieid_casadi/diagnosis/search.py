@@ -20,7 +20,6 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, PathState, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import functions_alike, smooth_candidates
-from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.coulomb import Coulomb
 from lieid_casadi.effects.offset import Offset
 from lieid_casadi.effects.smooth import Smooth
@@ -244,7 +243,7 @@ def _with_changes(
     (`COURSES`, ``in_course``), and show what is no effect of the arm.
     """
     every = (Candidate(p, np.zeros((1, 0))) for p in rows.fit.model.placements)
-    fixed = [c for c in every if not isinstance(c.effect, ArmEffect) and not c.effect.shapes]
+    fixed = [c for c in every if not (c.by_estimate or c.effect.shapes)]
     own = [c for c in fixed if rows.runs[c.joint].count and wanted(c)]
     columns, recordings = rows.columns, rows.recording_parts() if of_recordings else []
     shaped = np.array([bool(c.effect.shapes) for c in columns.owners], dtype=bool)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -166,6 +166,8 @@ def steps_of(
         without, j = first if len(accepted) == 1 else final.errors(columns[k]), found.joint
         errors = [(without[name], complete[name]) for name in IN_MOTION]
         fall = Fall(*(None if b is None or a is None else float(b[j] - a[j]) for b, a in errors))
+        if found.candidate.effect.per_recording:  # the test has another drift
+            fall = replace(fall, test=None)
         after = float(fit.rms_cv[j])
         step = step_of(
             found,
@@ -331,12 +333,14 @@ def unexplained_parts(
     differing: Sequence[Difference],
     rejected: Mapping[str, str],
     where: Sequence[str],
+    drifting: Collection[int] = (),
 ) -> tuple[Unexplained, ...]:
     """Return the joints whose error in motion is above a limit, or changes with time.
 
     ``ratio`` (n,) is the error relative to the noise, ``follows`` gives the signals that the
     residual of a joint follows, ``differing`` are changes of effects of the model, ``rejected`` has
-    candidates that were selected and not added, and why, and ``where`` the recordings by joint.
+    candidates that were selected and not added, and why, ``where`` the recordings by joint, and
+    ``drifting`` the joints with a drift, which the model does not have in a test.
     """
     changing = {each.joints[0]: each for each in differing if each.depends_on}
     large = [int(j) for j in np.argsort(-ratio) if ratio[j] > limit]
@@ -346,7 +350,7 @@ def unexplained_parts(
         own = tuple((k, why) for k, why in rejected.items() if k in here)
         fraction = float(1.0 - ratio[j] ** -2) if j in large else changing[j].fraction
         signals = changing[j].depends_on if j in changing else follows(j)
-        differs = any(each.joints == (j,) for each in differing)
+        differs = any(each.joints == (j,) for each in differing) or j in drifting
         found.append(
             Unexplained(j, fraction, float(ratio[j]), signals, own, where[j], j in large, differs)
         )

@@ -246,9 +246,6 @@ class Effect(ABC):
         Sentence of a diagnosis for a missing effect, and for a change of the effect; two of them
         if it depends on the sign of the first coefficient, positive first. ``{joints}`` and
         ``{source}`` are replaced by the joints, ``{increased}`` by "increased" or "decreased".
-    family : str
-        What effects describe that differ in the form of a curve alone, such as ``friction over
-        speed``: measurements seldom decide the form.
     size_unit : str
         Unit in which these sentences state the first coefficient, if it is not the
         coefficient's own; ``%`` multiplies by 100.
@@ -286,7 +283,6 @@ class Effect(ABC):
     unless_measured: ClassVar[str] = ""
     finding: ClassVar[tuple[str, ...]] = ()
     change: ClassVar[tuple[str, ...]] = ()
-    family: ClassVar[str] = ""
     size_unit: ClassVar[str] = ""
     revealed_by: ClassVar[str] = ""
     confused_with: ClassVar[Mapping[str, str]] = {}

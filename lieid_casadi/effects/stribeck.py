@@ -17,7 +17,6 @@ class Stribeck(Effect):
     """
 
     name = "stribeck"
-    family = "friction over speed"
     finding = (
         "Friction on {joints} falls with speed from standstill",
         "Friction on {joints} rises with speed from standstill",

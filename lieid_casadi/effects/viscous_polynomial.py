@@ -12,7 +12,6 @@ class ViscousPolynomial(Effect):
     """
 
     name = "viscous_polynomial"
-    family = "friction over speed"
     finding = ("Friction on {joints} is not a straight line over speed",)
     change = ("The curve of friction over speed on {joints} has changed",)
     formula = "f_v2·sgn(q̇)·q̇² + f_v3·q̇³"

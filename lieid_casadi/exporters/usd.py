@@ -14,11 +14,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.errors import ExportError
-from lieid_casadi.exporters.simulator_joints import (
-    armature,
-    check_possible,
-    left_out,
-)
+from lieid_casadi.exporters.simulator_joints import armature, check_possible, left_out
 from lieid_casadi.exporters.urdf import check_gravity, split
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.robot.inertia import body_inertia

@@ -17,12 +17,7 @@ from lieid_casadi.dynamics.lie import Motion, Pose
 from lieid_casadi.dynamics.regressor import regressor
 from lieid_casadi.errors import ModelError
 from lieid_casadi.expressions import forward_dynamics
-from lieid_casadi.expressions.torque import (
-    FreeGroup,
-    TorqueExpressions,
-    Values,
-    named_function,
-)
+from lieid_casadi.expressions.torque import FreeGroup, TorqueExpressions, Values, named_function
 from lieid_casadi.model import Model
 from lieid_casadi.robot.robot import Robot
 

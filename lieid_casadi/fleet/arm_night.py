@@ -27,11 +27,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.identification.regression.design_matrix import Design, rows_per_independent
-from lieid_casadi.identification.regression.least_squares import (
-    Factor,
-    joint_factors,
-    row_weights,
-)
+from lieid_casadi.identification.regression.least_squares import Factor, joint_factors, row_weights
 from lieid_casadi.identification.uncertainty.covariance import prior_rows
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.premises import check_where_possible

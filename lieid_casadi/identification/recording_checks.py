@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from lieid_casadi.errors import (
     EffectError,
@@ -71,6 +74,10 @@ def check_torque_constants(provenance: Provenance, recording: Recording) -> list
     ]
 
 
+_NUMBER = r"((?:[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)?)"
+_PART = re.compile(rf"(?:@| episodes ){_NUMBER}:{_NUMBER}$")
+
+
 @dataclass(frozen=True)
 class Source:
     """A recording that a result was computed from: its name and the SHA-256 of its data."""
@@ -82,6 +89,16 @@ class Source:
     def of(cls, recording: Recording) -> Source:
         """Return name and hash of a recording."""
         return cls(recording.name, recording.source_hash)
+
+    def overlaps(self, other: Source) -> bool:
+        """Return whether two recordings share samples: the same data with overlapping parts."""
+        if not self.sha256 or self.sha256 != other.sha256:
+            return False
+        ends = []
+        for name in (self.name, other.name):  # of a part, s or episodes; infinite if none is stated
+            start, end = found.groups() if (found := _PART.search(name)) else ("", "")
+            ends.append((float(start or -np.inf), float(end or np.inf)))
+        return max(start for start, _ in ends) < min(end for _, end in ends)
 
     def to_dict(self) -> dict[str, str]:
         """Return the source for JSON: ``{name, sha256}``."""
@@ -102,3 +119,7 @@ class Provenance:
     columns: tuple[str, ...] = ()
     #: options that corrected the recordings, such as ``--joint-order 1 3 2``
     corrections: tuple[str, ...] = ()
+
+    def contains(self, source: Source) -> bool:
+        """Return whether a recording shares samples with one of these."""
+        return any(source.overlaps(each) for each in self.recordings)

@@ -36,6 +36,7 @@ from lieid_casadi.errors import (
 )
 from lieid_casadi.identification import Fit, recording_checks
 from lieid_casadi.identification.prediction import center_temperature
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import Progress
 from lieid_casadi.identification.regression.least_squares import (
@@ -295,15 +296,13 @@ LABELS = tuple(name.replace("mc", "m·c") for name in LINK_PARAMETER_NAMES)
 
 def _fit_warnings(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarning]:
     """Warn of recordings that the fit was trained on."""
-    # parts of one file (FILE@T0:T1) have its hash and names of their own
-    trained = {(source.sha256, source.name) for source in fit.provenance.recordings}
     return [
         SameRecordingWarning(
             f"{r.name or 'the recording'} is one of the fit's training recordings: its payload is "
             "already part of the fit"
         )
         for r in recordings
-        if r.source_hash and (r.source_hash, r.name) in trained
+        if fit.provenance.contains(Source.of(r))
     ]
 
 

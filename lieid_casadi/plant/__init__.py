@@ -37,11 +37,7 @@ from lieid_casadi.plant.ideal_tracking import TrueMotion, move_along
 from lieid_casadi.plant.position_control import PositionDrive, simulate_commands
 from lieid_casadi.plant.sensors import Sensors, measure, measure_along
 from lieid_casadi.plant.simulate import move, simulate
-from lieid_casadi.plant.trajectories import (
-    FourierTrajectory,
-    ReferenceTrajectory,
-    torque_scale,
-)
+from lieid_casadi.plant.trajectories import FourierTrajectory, ReferenceTrajectory, torque_scale
 from lieid_casadi.robot.pinocchio_model import build_pinocchio
 
 __all__ = [

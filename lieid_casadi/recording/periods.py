@@ -6,12 +6,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.recording.filtering import (
-    lowpass,
-    smooth_at,
-    straight_at,
-    uniform_time,
-)
+from lieid_casadi.recording.filtering import lowpass, smooth_at, straight_at, uniform_time
 from lieid_casadi.recording.recording import Recording
 
 #: Rate of the samples in which periods are searched, Hz.

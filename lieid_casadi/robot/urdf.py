@@ -14,12 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.errors import (
-    LieidWarning,
-    MimicJointWarning,
-    NominalInertiaWarning,
-    RobotError,
-)
+from lieid_casadi.errors import LieidWarning, MimicJointWarning, NominalInertiaWarning, RobotError
 from lieid_casadi.messages import reason_of
 from lieid_casadi.robot.description import MOST_JOINTS, Joint, RobotDescription, RobotSource
 from lieid_casadi.robot.inertia import impossible_moments, pose

@@ -11,11 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array, Indices
-from lieid_casadi.compiled.batch_evaluation import (
-    Evaluation,
-    MachineEvaluation,
-    evaluation_of_one,
-)
+from lieid_casadi.compiled.batch_evaluation import Evaluation, MachineEvaluation, evaluation_of_one
 from lieid_casadi.compiled.compiled_model import default_threads
 from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.errors import ModelError

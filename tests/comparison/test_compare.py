@@ -73,6 +73,22 @@ def test_training_recordings_give_the_training_error():
     np.testing.assert_allclose(comparison.rms_raw, fit.rms_train_raw)
 
 
+def test_a_drift_is_that_of_the_training_recordings_alone():
+    """Parts of one file are different recordings, although their hashes are equal."""
+    t = arm.motion(20.0, seed=3)[0]
+    drift = np.column_stack([0.5 * (t - t.mean()), np.zeros(len(t))])
+    whole = arm.recording(20.0, seed=3, noise=0.2, extra=drift, name="run.csv")
+    train, rest = whole.cut(0.0, 12.0), whole.cut(12.0, 20.0)
+    fit = arm.fit(train, effects=f"{arm.EFFECTS},bias_drift:1")
+    comparison = lieid.compare(fit, train)
+    np.testing.assert_allclose(comparison.rms, fit.rms_train)
+    assert np.all(comparison.over_noise < 1.2)
+    (elsewhere,) = lieid.compare(fit, rest).series
+    assert np.std(elsewhere.error[:, 0]) == pytest.approx(0.5 * 7.0 / np.sqrt(12.0), rel=0.05)
+    (zero,) = np.flatnonzero(fit.lasting_values != fit.values)
+    assert fit.model.base_columns[zero].name.startswith("bias_drift")
+
+
 def coloured(correlation_time, size, seed, samples):
     """Return noise (samples, 2) of first order with a correlation time, s."""
     random = np.random.default_rng(seed)
@@ -104,6 +120,20 @@ def test_noise_floor_of_white_and_coloured_noise(fit, correlation_time, missing)
     least = 0.5 if missing and correlation_time > 0.2 else 0.75
     assert np.all(np.mean(ratios, axis=0) > least)
     assert np.all(np.mean(ratios, axis=0) < 1.4)
+
+
+@pytest.mark.parametrize(("step", "noise"), [(1, 1e-4), (4, 0.0)], ids=["noisy", "50 Hz"])
+def test_reversals_that_positions_do_not_show_to_a_sample_are_no_missing_effect(step, noise):
+    """Of a complete model: its error is up to 6 times the scatter between periods."""
+    for seed in range(3):
+        t, q, dq, ddq = arm.motion(24.0, seed=seed)
+        random = np.random.default_rng(seed)
+        tau = arm.torque(q, dq, ddq) + 0.05 * random.standard_normal(q.shape)
+        seen = (q + noise * random.standard_normal(q.shape))[::step]
+        run = lieid.Recording.from_arrays(t[::step], seen, tau=tau[::step])
+        comparison = lieid.compare(arm.fit(run), run)
+        assert comparison.noise_source == "period_to_period"
+        assert np.all(comparison.over_noise < 1.5), comparison.over_noise
 
 
 def test_slow_noise_and_uncertain_parameters_are_not_above_the_noise_floor():

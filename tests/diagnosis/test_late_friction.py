@@ -158,6 +158,18 @@ def test_an_effect_that_one_recording_cannot_show_is_an_effect_of_the_arm():
     assert not diagnosis.differing
 
 
+def test_a_drift_is_explained_in_its_recording_and_not_expected_in_the_test():
+    arm = plant.demo_arm(ROBOT, hidden=None).with_effects(plant.BiasDrift(0, rate=0.8))
+    train, test = (recorded(arm, seed, step=0.004, name=f"{seed}.csv") for seed in (1, 2))
+    diagnosis = lieid.diagnose(MODEL, train)
+    assert [step.label for step in diagnosis.steps] == ["bias_drift:1"]
+    assert diagnosis.verdict == "effect_found"
+    np.testing.assert_allclose(lieid.compare(diagnosis.fit, train).rms, diagnosis.fit.rms_train)
+    (part,) = (tested := lieid.diagnose(MODEL, train, test)).unexplained
+    assert (part.joint, part.recordings, part.differs) == (0, "test", True)
+    assert tested.steps[0].confirmed is None
+
+
 def test_drifts_of_each_recording_are_stated_beside_the_effect_of_the_arm():
     arm, train = plant.demo_arm(ROBOT, hidden=None), []
     arm = arm.with_effects(plant.hidden_effect(arm, "load_friction", 0, strength=1.0))

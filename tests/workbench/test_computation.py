@@ -101,7 +101,8 @@ def test_a_quick_result_leaves_out_what_takes_longer_than_the_fit(inputs, first)
     np.testing.assert_array_equal(quick.test.series[0].predicted, whole.test.series[0].predicted)
     kept = np.minimum(begun.errors.noise_floor, quick.errors.shown)
     np.testing.assert_array_equal(quick.errors.noise_floor, kept)
-    np.testing.assert_allclose(whole.errors.noise_floor, kept, rtol=0.3)
+    # beside the error of the missing effect that of late reversals does not show
+    assert np.all((0.7 * kept < whole.errors.noise_floor) & (whole.errors.noise_floor < 2.0 * kept))
     with_std = [
         any("±" in value for row in e.effects for value in row.values) for e in (quick, whole)
     ]

@@ -20,12 +20,7 @@ from lieid_casadi.compiled.compiled_model import Part
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.expressions.effect_function import EffectFunction
-from lieid_casadi.identification.regression.least_squares import (
-    Factor,
-    JointRows,
-    Rows,
-    combine,
-)
+from lieid_casadi.identification.regression.least_squares import Factor, JointRows, Rows, combine
 from lieid_casadi.identification.regression.segment_columns import (
     effect_signals,
     filtered_columns,

@@ -23,11 +23,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.effects import ArmEffect, Placement
-from lieid_casadi.identification.regression.design_matrix import (
-    Design,
-    VaryingEffect,
-    grid_key,
-)
+from lieid_casadi.identification.regression.design_matrix import Design, VaryingEffect, grid_key
 from lieid_casadi.identification.regression.least_squares import (
     RANK_TOLERANCE,
     Rows,

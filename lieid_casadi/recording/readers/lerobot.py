@@ -25,11 +25,7 @@ from lieid_casadi.errors import (
 from lieid_casadi.messages import names_text, shortened
 from lieid_casadi.recording.measurement import Measurement
 from lieid_casadi.recording.readers.parquet_file import import_pyarrow, require_bounded_size
-from lieid_casadi.recording.readers.registry import (
-    ReadOptions,
-    RecordingFormat,
-    library_errors,
-)
+from lieid_casadi.recording.readers.registry import ReadOptions, RecordingFormat, library_errors
 
 INFO = Path("meta") / "info.json"
 STATE, ACTION = "observation.state", "action"

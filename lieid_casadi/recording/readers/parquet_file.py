@@ -15,11 +15,7 @@ from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.errors import LargeFileWarning, of_extra
 from lieid_casadi.recording.measurement import Measurement
 from lieid_casadi.recording.readers import registry
-from lieid_casadi.recording.readers.columns import (
-    columns_of,
-    measurement_of_columns,
-    read_layout,
-)
+from lieid_casadi.recording.readers.columns import columns_of, measurement_of_columns, read_layout
 from lieid_casadi.recording.sample_timing import GAP_PERIODS
 
 #: Largest ratio of decoded to stored size in files of measured signals.
