@@ -391,7 +391,9 @@ def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
     larger = replace(shape, before=3.5)
     for steps in ((effect, shape), (effect, replace(larger, joint=1))):
         assert [s.status for s in beside_smooth_functions(steps)] == ["named", "shape"]
-    for steps in ((effect, larger), (shape, effect)):
+    coupled = replace(effect, label="transmission_coupling:1<2", joints=(0, 1))
+    of_source = replace(shape, label="smooth/load2:1", depends_on=("load2",))
+    for steps in ((effect, larger), (shape, effect), (coupled, of_source)):
         assert {s.status for s in beside_smooth_functions(steps)} == {"one_of", "shape"}
     doubtful, _ = beside_smooth_functions([effect, larger])
     assert "; its form is not certain beside the function smooth/dq" in finding(
