@@ -19,6 +19,7 @@ DOUBTS = {
     "coefficients": "; it is only {coefficients:.1f} standard deviations from zero{where}",
     "instant": "; friction that changes at one instant may look the same",
     "late_friction": "; a joint that sticks for a moment at each reversal may look the same",
+    "rest": "; more than it explains of the error is left unexplained",
     "lead": "; friction of another form at reversals may look the same",
 }
 

@@ -249,20 +249,13 @@ def _described(
         fit, search.segments, known=search.known, before=rows, with_candidates=False
     )
     baseline, options = errors_of(first, before), search.options
-    steps = steps_of(
-        final,
-        state.accepted,
-        last_rows,
-        baseline,
-        after,
-        name_deviations=options.name_deviations,
-    )
+    ratio, where = over_floor(fitted, after)
+    steps = steps_of(final, state.accepted, last_rows, baseline, after, ratio, options)
     gains = {a.placement.label: state.gain_of(a) for a in state.accepted}
     rejected = {label: r for label, r in state.rejected.items() if label not in gains}
     reasons = {label: r.reason for label, r in rejected.items()}
     spread = last_rows.spread()
     span = last_rows.span(spread)
-    ratio, where = over_floor(fitted, after)
     parts = unexplained_parts(
         ratio,
         options.largest_error,

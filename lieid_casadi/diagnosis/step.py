@@ -14,8 +14,9 @@ from lieid_casadi.simulation.integration import FARTHEST, LEAST_ERROR
 Status = Literal["named", "one_of", "shape"]
 #: Why the name of an effect without rivals is not certain: a path without some held-out part does
 #: not contain it, its gain or its coefficients are within noise, friction that changes at one
-#: instant does as well, dry friction reverses late, or it is torque before its motion.
-Doubt = Literal["", "selected", "gain", "coefficients", "instant", "late_friction", "lead"]
+#: instant does as well, dry friction reverses late, it is torque before its motion, or more than it
+#: explains is left unexplained.
+Doubt = Literal["", "selected", "gain", "coefficients", "instant", "late_friction", "lead", "rest"]
 
 LEAST_STRETCHES = 2  # independent ones in each held-out part, for full evidence
 

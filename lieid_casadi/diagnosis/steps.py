@@ -142,14 +142,16 @@ def steps_of(
     rows: Rows,
     first: dict[str, Array | None],
     tested: Comparison | None,
-    *,
-    name_deviations: float,
+    ratio: Array,
+    options: DiagnosisOptions,
 ) -> tuple[Step, ...]:
     """Return the steps of a final model: every number is that of its fit.
 
     ``accepted`` is in the order of the path, ``rows`` are those of the final fit, ``first`` has the
-    errors of the first model (see `errors_of`), and ``tested`` compares the final fit with the
-    test. Without its only effect the final model is the first one.
+    errors of the first model (see `errors_of`), ``tested`` compares the final fit with the test,
+    and ``ratio`` (n,) is its error over the noise floor. Where that is unexplained, and an effect
+    explains less than is left, its name is not certain. Without its only effect the final model is
+    the first one.
     """
     fit = final.fit
     columns = [final.columns_of([a.placement]) for a in accepted]
@@ -157,7 +159,7 @@ def steps_of(
     steps = []
     for k, found in enumerate(accepted):
         deviations = found.coefficient_deviations(fit)
-        if found.status == "named" and deviations < name_deviations:
+        if found.status == "named" and deviations < options.name_deviations:
             found = replace(found, doubt="coefficients")
         others = (a.candidate for a in found.replaced)
         replaced = tuple(Rival(c.label, c.name, c.joints, "data") for c in others)
@@ -169,10 +171,14 @@ def steps_of(
         if found.candidate.effect.per_recording:  # the test has another drift
             fall = replace(fall, test=None)
         after = float(fit.rms_cv[j])
+        before = after + float(fall.cv or 0.0)
+        rest = ratio[j] > options.largest_error and before**2 < 2.0 * after**2
+        if found.status == "named" and rest:
+            found = replace(found, doubt="rest")
         step = step_of(
             found,
             fitted_values(fit, found.placement)[2],
-            before=after + float(fall.cv or 0.0),
+            before=before,
             after=after,
             fall=fall,
             torque=rows.torque[j],

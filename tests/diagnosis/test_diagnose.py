@@ -401,6 +401,21 @@ def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
     )
 
 
+@pytest.mark.parametrize(
+    ("size", "ratio", "status"), [(0.1, 9.0, "one_of"), (0.1, 1.0, "named"), (0.3, 9.0, "named")]
+)
+def test_an_effect_that_explains_less_than_is_left_is_not_certain(size, ratio, status, monkeypatch):
+    monkeypatch.setattr(missing, "over_floor", lambda *_: (np.full(ROBOT.n, ratio), [""] * ROBOT.n))
+    train = two_runs(("stribeck", 0, size))[0]
+    options = DiagnosisOptions(name_deviations=0.0, rival_deviations=-1e3)
+    found = lieid.diagnose(MODEL, train, options=options)
+    (step,) = found.steps
+    assert (step.before**2 > 2.0 * step.after**2) == (size > 0.2)
+    assert step.status == status
+    text = "more than it explains of the error is left unexplained"
+    assert any(text in sentence for sentence in found.sentences) == (status == "one_of")
+
+
 def test_smooth_functions_are_chosen_beside_the_path(monkeypatch):
     """A refined grid numbers groups anew: those of the path are not the same numbers of later."""
 
