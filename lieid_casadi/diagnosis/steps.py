@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from string import ascii_letters
 
 import numpy as np
 
@@ -259,7 +260,8 @@ def beside_smooth_functions(steps: Sequence[Step]) -> tuple[Step, ...]:
             other for i, other in enumerate(steps)
             if other.status == "shape" and other.joint == step.joint
             and (i < k or other.before - other.after >= step.before - step.after
-                 or {f"{j + 1}" for j in step.joints[1:]} & {a[-1] for a in other.depends_on})
+                 or {f"{j + 1}" for j in step.joints[1:]}
+                 & {signal.strip(ascii_letters) for signal in other.depends_on})
         ]  # fmt: skip
         if step.status == "named" and doubts:
             rivals = (Rival(doubts[-1].label, SMOOTH, doubts[-1].joints, "data"),)

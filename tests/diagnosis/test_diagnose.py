@@ -389,10 +389,11 @@ def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
     effect = replace(step, before=3.0, after=1.0)
     shape = replace(step, label="smooth/dq:1", status="shape", before=1.5, after=1.0)
     larger = replace(shape, before=3.5)
-    for steps in ((effect, shape), (effect, replace(larger, joint=1))):
-        assert [s.status for s in beside_smooth_functions(steps)] == ["named", "shape"]
     coupled = replace(effect, label="transmission_coupling:1<2", joints=(0, 1))
     of_source = replace(shape, label="smooth/load2:1", depends_on=("load2",))
+    of_another = replace(shape, label="smooth/load12:1", depends_on=("load12",))
+    for steps in ((effect, shape), (effect, replace(larger, joint=1)), (coupled, of_another)):
+        assert [s.status for s in beside_smooth_functions(steps)] == ["named", "shape"]
     for steps in ((effect, larger), (shape, effect), (coupled, of_source)):
         assert {s.status for s in beside_smooth_functions(steps)} == {"one_of", "shape"}
     doubtful, _ = beside_smooth_functions([effect, larger])
