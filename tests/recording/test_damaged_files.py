@@ -14,7 +14,7 @@ from recording.planar_arm import measured
 
 from lieid_casadi.errors import RecordingError, UnknownColumnWarning
 from lieid_casadi.recording import Recording
-from lieid_casadi.recording.readers import csv_file, registry
+from lieid_casadi.recording.readers import csv_file, npz_file, registry
 
 
 @pytest.fixture(scope="module")
@@ -178,3 +178,15 @@ def test_missing_file_and_unknown_suffix(tmp_path):
     (tmp_path / "folder.csv").mkdir()
     with pytest.raises(RecordingError, match="cannot be read"):
         Recording.load(tmp_path / "folder.csv")
+
+
+def test_too_little_memory_is_not_called_a_damaged_file(tmp_path, monkeypatch):
+    file = tmp_path / "run.npz"
+    np.savez(file, t=np.arange(3.0))
+
+    def load(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(npz_file, "_arrays", load)
+    with pytest.raises(RecordingError, match="needs more memory than is available"):
+        Recording.load(file)

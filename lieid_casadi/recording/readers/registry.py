@@ -109,10 +109,13 @@ def write_measurement(measurement: Measurement, file: Path) -> None:
 
 @contextlib.contextmanager
 def library_errors(file: Path | str, expected: str) -> Iterator[None]:
-    """Turn every exception of a library that decodes a file into one RecordingError."""
+    """Turn every exception of a library that decodes a file into one RecordingError.
+
+    What a library raises of a damaged file is not documented; too little memory is no damage.
+    """
     try:
         yield
-    except LieidError:
+    except (LieidError, MemoryError):
         raise
     except Exception as error:
         raise RecordingError(f"{file}: not {expected} ({reason_of(error)})") from error
