@@ -2,8 +2,8 @@
 
 The search is that for missing effects, with four differences: the fit's parameters may move
 within their uncertainty only (rows of a prior), so that none is taken for a change; the noise is
-that of the fit on held-out data; effects are searched for on joints whose error is larger than it
-was on other motion; and smooth functions contain what is linear in their signals.
+that of the fit on held-out data, per independent sample; effects are searched for on joints whose
+error is larger than on other motion; smooth functions contain what is linear in their signals.
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import compare
 from lieid_casadi.diagnosis.candidates import Candidate, reason_against
 from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations, solved, undetermined
-from lieid_casadi.diagnosis.folds import redundancy
 from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.path import PathState, Span
+from lieid_casadi.diagnosis.path import PathState
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rows import Rows
-from lieid_casadi.diagnosis.search import Round, search
+from lieid_casadi.diagnosis.search import Round, residual_beside, search
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
 from lieid_casadi.diagnosis.step import Fall, Step
 from lieid_casadi.diagnosis.steps import (
@@ -60,7 +59,7 @@ def diagnose_changed(
     expected = np.array([each.spread for each in noise])
     rows = Rows.of(fit, segments, model_fixed=True)
     rises = np.array([each.motion_ratio for each in noise])
-    first = _misfit(rows, expected, [])
+    first = _misfit(rows, expected, rows.residual)
     raised = first > options.least_misfit * rises
     found = search(
         rows,
@@ -69,18 +68,20 @@ def diagnose_changed(
         prior=prior_rows(fit.covariance),
         noise=noise,
     )
-    every, rejected = _changes(found, noise, raised, options.least_misfit * rises, options)
+    every, rejected = _changes(found, expected, raised, options.least_misfit * rises, options)
     report("describe the changes", 0.8)
     changes = [c for c in every if c.candidate.of_arm]
     differing = [difference_of(found, c.slot, of_model=True) for c in every if c not in changes]
-    after, beside = _misfit(rows, expected, _torques(found, every)), _beside(found, every)
-    steps = _steps(found, changes, first * expected, options)
-    beyond = _by_joint(beside, beside.residual)
-    ratio = np.where(np.isfinite(beyond), beyond, 0.0)
+    after = _misfit(rows, expected, _left(found, every))
+    steps = _steps(found, changes, expected, options)
+    rest = _rest(found, every)
+    ratio = np.nan_to_num(_misfit(rows, expected, rest))
+    weighted = [r * w for r, w in zip(rest, rows.weights(found.spread), strict=True)]
+    beside = replace(found.paths.span, residual=np.concatenate(weighted))
     parts = unexplained_parts(
         ratio,
         options.largest_error,
-        lambda j: followed_signals(rows, beside, j, expected),
+        lambda j: followed_signals(rows, beside, j, found.spread),
         differing,
         rejected,
         [""] * len(ratio),
@@ -118,9 +119,8 @@ def held_out_noise(fit: Fit) -> tuple[Noise, ...]:
     correlation of the noise.
     """
     ratio = np.nan_to_num(fit.rms_cv / np.maximum(fit.noise, 1e-300), nan=1.0)
-    return tuple(
-        n.times(max(float(r), 1.0)) for n, r in zip(fit.residual_noise, ratio, strict=True)
-    )
+    pairs = zip(fit.residual_noise, ratio, strict=True)
+    return tuple(noise.times(max(float(r), 1.0)) for noise, r in pairs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,11 +135,12 @@ class _Change:
     @property
     def deviations(self) -> float:
         """How far its coefficients are from zero, in standard deviations of the fit's noise."""
-        return coefficient_deviations(self.values, self.covariance, tried=self.candidate.scanned)
+        known, tried = self.slot.evidence.independent, self.candidate.scanned
+        return coefficient_deviations(self.values, self.covariance, known, tried)
 
 
 def _changes(
-    found: Round, noise: Sequence[Noise], raised: Mask, most: Array, options: DiagnosisOptions
+    found: Round, expected: Array, raised: Mask, most: Array, options: DiagnosisOptions
 ) -> tuple[list[_Change], dict[str, str]]:
     """Return the changes that pass, and the reasons against the others.
 
@@ -150,9 +151,9 @@ def _changes(
     rejected: dict[str, str] = {}
     slots = list(found.slots)
     while True:
-        changes = _fitted(found, slots, noise)
+        changes = _fitted(found, slots)
         for change in reversed(changes):
-            reason = _reason(found, noise, changes, change, raised, most, options)
+            reason = _reason(found, expected, changes, change, raised, most, options)
             if reason is not None:
                 rejected[change.candidate.label] = reason
                 slots = [slot for slot in slots if slot is not change.slot]
@@ -163,7 +164,7 @@ def _changes(
 
 def _reason(
     found: Round,
-    noise: Sequence[Noise],
+    expected: Array,
     changes: Sequence[_Change],
     change: _Change,
     raised: Mask,
@@ -175,16 +176,18 @@ def _reason(
     reason = reason_against(candidate, *_at_best_shape(found, changes, change), found.rows.segments)
     if reason is not None:
         return reason
-    others = _fitted(found, [c.slot for c in changes if c is not change], noise)
-    if not (_misfit(found.rows, found.spread, _torques(found, others)) > most).any():
+    others = _fitted(found, [c.slot for c in changes if c is not change])
+    if not (_misfit(found.rows, expected, _left(found, others)) > most).any():
         return "without it the error is as expected of the fit"
-    fall = float(np.where(raised, _falls(found, changes, change), -np.inf).max(initial=-np.inf))
+    fall = float(_falls(found, expected, changes, change)[raised].max(initial=-np.inf))
     if fall < options.worth_of_change:
         return f"the error of a raised joint falls by only {100 * fall:.1f} %"
     if slot.evidence.deviations < options.gain_deviations:
         return slot.reason(options)
     part = len(changes) / sum(c.of_arm for c in found.paths.columns.owners)
-    uncertain = undetermined(slot.evidence.gain_certainty, change.deviations, part, options)
+    # parameters that move in its place count for the gain: it is no surer than the coefficients
+    certainty = min(slot.evidence.gain_certainty, change.deviations)
+    uncertain = undetermined(certainty, change.deviations, part, options)
     return None if uncertain is None else uncertain[0]
 
 
@@ -202,7 +205,7 @@ def _at_best_shape(
     return columns.shapes(best), values[columns.of_group(best)]
 
 
-def _fitted(found: Round, slots: Sequence[Slot], noise: Sequence[Noise]) -> list[_Change]:
+def _fitted(found: Round, slots: Sequence[Slot]) -> list[_Change]:
     """Return changes with coefficients fitted together, within the fit's uncertainty."""
     if not slots:
         return []
@@ -213,71 +216,60 @@ def _fitted(found: Round, slots: Sequence[Slot], noise: Sequence[Noise]) -> list
     covariance = np.asarray(np.linalg.pinv(gram, hermitian=True), dtype=float)
     places = np.split(np.arange(len(gram)), np.cumsum([c.shape[1] for c in columns])[:-1])
     return [
-        _Change(
-            slot,
-            found.candidate(slot.group),
-            values[own],
-            redundancy(noise[slot.joint]) * covariance[np.ix_(own, own)],
-        )
+        _Change(slot, found.candidate(slot.group), values[own], covariance[np.ix_(own, own)])
         for slot, own in zip(slots, places, strict=True)
     ]
 
 
-def _falls(found: Round, changes: Sequence[_Change], one: _Change) -> Array:
+def _falls(found: Round, expected: Array, changes: Sequence[_Change], one: _Change) -> Array:
     """Return the relative fall (n,) of each joint's error that the torque of a change causes.
 
     Of the model within its uncertainty and with all changes, the error is compared with what it
     is without the torque of the one. So neither an error that the uncertain parameters explain
     hides a change, nor do these parameters take the place of its torque.
     """
-    span = _beside(found, changes)
-    torque = np.zeros(len(span.residual))
-    own = found.paths.columns.stacked(one.slot.group) @ one.values
-    torque[: len(own)] = own
-    after, before = (_by_joint(span, x) for x in (span.residual, span.residual + torque))
+    rest = _rest(found, changes)
+    torque = found.rows.columns.stacked(one.slot.group) @ one.values
+    parts = np.split(torque, found.paths.span.ends[1:-1])
+    before = _misfit(found.rows, expected, [r + t for r, t in zip(rest, parts, strict=True)])
+    after = _misfit(found.rows, expected, rest)
     return 1.0 - np.divide(after, before, out=np.ones(len(after)), where=before > 0.0)
 
 
-def _by_joint(span: Span, rest: Array) -> Array:
-    """Return the weighted RMS of each joint (n,); 0 without rows."""
-    rows = [rest[span.joint(j)] for j in range(len(span.ends) - 1)]
-    return np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in rows])
+def _rest(found: Round, changes: Sequence[_Change]) -> list[Array]:
+    """Return what changes and parameters within their uncertainty leave of residuals, N·m."""
+    groups = [c.slot.group for c in changes]
+    return residual_beside(found.paths, groups, found.rows, found.spread)
 
 
-def _torques(found: Round, changes: Sequence[_Change]) -> list[Array]:
-    """Return the weighted torque of each change on all rows."""
-    return [found.paths.columns.stacked(c.slot.group) @ c.values for c in changes]
+def _left(found: Round, changes: Sequence[_Change]) -> list[Array]:
+    """Return what the torques of changes leave of each joint's residual (R_j,), N·m."""
+    torques = (found.rows.columns.stacked(c.slot.group) @ c.values for c in changes)
+    whole = np.concatenate(found.rows.residual)
+    left = whole - sum(torques, start=np.zeros(len(whole)))
+    return np.split(left, found.paths.span.ends[1:-1])
 
 
-def _misfit(rows: Rows, expected: Array, torques: Sequence[Array]) -> Array:
-    """Return each joint's error with some torques over that expected (n,); NaN without rows."""
-    weights = rows.weights(expected)
-    residual = np.concatenate([r * w for r, w in zip(rows.residual, weights, strict=True)])
-    ends = np.cumsum([run.count for run in rows.runs])[:-1]
-    parts = np.split(residual - sum(torques, start=np.zeros(len(residual))), ends)
-    return np.array([np.sqrt(np.mean(p**2)) if len(p) else np.nan for p in parts])
-
-
-def _beside(found: Round, changes: Sequence[_Change]) -> Span:
-    """Return the kept model with what all changes and its uncertainty leave of the residual."""
-    span = found.paths.span
-    torques = (found.paths.outside(c.slot.group) @ c.values for c in changes)
-    return replace(span, residual=span.residual - sum(torques, start=np.zeros(len(span.residual))))
+def _misfit(rows: Rows, expected: Array, errors: Sequence[Array]) -> Array:
+    """Return the RMS of each joint's errors (R_j,) over that expected (n,); NaN without rows."""
+    weighted = [e * w for e, w in zip(errors, rows.weights(expected), strict=True)]
+    return np.array([np.sqrt(np.mean(own**2)) if len(own) else np.nan for own in weighted])
 
 
 def _steps(
-    found: Round, changes: Sequence[_Change], first: Array, options: DiagnosisOptions
+    found: Round, changes: Sequence[_Change], expected: Array, options: DiagnosisOptions
 ) -> tuple[Step, ...]:
     slots = [c.slot.group for c in changes]
     accepted = [Accepted.of(found, c.slot, slots, options) for c in changes]
-    torques = _torques(found, changes)
-    complete = _misfit(found.rows, found.spread, torques) * found.spread
+
+    def errors(of: Sequence[_Change]) -> Array:
+        return _misfit(found.rows, expected, _left(found, of)) * expected
+
     groups = groups_of(accepted)
     steps = []
     for k, (change, own) in enumerate(zip(changes, accepted, strict=True)):
-        without = _misfit(found.rows, found.spread, torques[:k] + torques[k + 1 :]) * found.spread
-        so_far = _misfit(found.rows, found.spread, torques[: k + 1]) * found.spread
-        before, after = float(without[own.joint]), float(complete[own.joint])
+        without = [*changes[:k], *changes[k + 1 :]]
+        before, after = (float(errors(of)[own.joint]) for of in (without, changes))
         steps.append(
             step_of(
                 own,
@@ -288,7 +280,7 @@ def _steps(
                 torque=found.rows.torque[own.joint],
                 group=groups[k],
                 deviations=change.deviations,
-                errors=_new_errors(so_far),
+                errors=_new_errors(errors(changes[: k + 1])),
             )
         )
     return beside_smooth_functions(steps)

@@ -27,7 +27,6 @@ from lieid_casadi.effects.smooth import Smooth
 DEPENDENT = 1e-8  # of a largest eigenvalue
 SMALLEST = 1e-12  # part of an error below which it counts as zero
 SMALLEST_TAIL = 1e-300  # probability of a deviation: the inverse of the distribution is finite
-KNOWN = 1e9  # independent stretches of a noise that is given
 #: Expected part of false effects among all that are added, by gain and coefficients together.
 #: Statistics: Benjamini and Hochberg, J. Royal Statistical Society B 1995.
 FALSE_EFFECTS = 0.1
@@ -41,7 +40,8 @@ class Slot:
 
     group: int
     evidence: Evidence
-    #: (n,) each: weighted held-out sum of squares of each joint without it and with it
+    #: (n + 1,) each: weighted held-out sum of squares of each joint without it and with it, and of
+    #: the prior, by which parameters of a kept model that move in its place are held
     before: Array
     after: Array
     #: groups that are in its place in paths without it
@@ -54,7 +54,7 @@ class Slot:
     @property
     def fall(self) -> float:
         """Relative fall of the held-out error of its joint."""
-        before, after = self.before[self.joint], self.after[self.joint]
+        before, after = (x[self.joint] + x[-1] for x in (self.before, self.after))
         return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else 0.0
 
     def reason(self, options: DiagnosisOptions, *, elsewhere: int = 0) -> str | None:
@@ -76,7 +76,7 @@ def evidence_needed(limit: float, elsewhere: int) -> float:
 
 
 def coefficient_deviations(
-    values: Array, covariance: Array, *, independent: float = KNOWN, tried: float = 1.0
+    values: Array, covariance: Array, independent: float, tried: float
 ) -> float:
     """Return how far coefficients (k,) together are from zero, in standard deviations.
 
@@ -133,7 +133,7 @@ def judge(
     the same there. A dead band must explain more than all: friction of simulators is early
     (MuJoCo's ``solreffriction``), and a joint at rest needs no torque of its drive either. Since
     these columns describe friction at reversals and rest roughly, what it explains on the rows
-    ``steady`` (R,), away from both, counts.
+    ``steady`` (R + k,), away from both, counts.
     """
     span, columns = paths.span, paths.columns
     every = [*dict.fromkeys([*whole, *(g for path in parts for g in path)])]
@@ -149,8 +149,8 @@ def judge(
     torque = {g: outside[g] @ values[g] for g in whole}
     members = [_members(whole, path, outside, torque, columns.owner) for path in parts]
     gains, expected = np.zeros((2, len(whole), folds.count))
-    squares = np.zeros((folds.count, n))
-    before, after = np.zeros((2, len(whole), n))
+    squares = np.zeros((folds.count, n + 1))
+    before, after = np.zeros((2, len(whole), n + 1))
     for k, path in enumerate(parts):
         frictions = [g for own in places.values() for g in own]
         held = HeldOut(span, folds, k, {g: outside[g] for g in (*path, *frictions)})
@@ -159,9 +159,10 @@ def judge(
         for e, group in enumerate(whole):
             mine = members[k][group]
             candidate = columns.candidate(group)
-            own = range(n) if candidate.reaches_all else [candidate.joint]
+            joints = range(n) if candidate.reaches_all else [candidate.joint]
+            own = [*joints, n]
             kinds = friction.keys() & candidate.effect.like_uncertain_friction
-            beside = [places[kind][j] for kind in kinds for j in own]
+            beside = [places[kind][j] for kind in kinds for j in joints]
             used = _without_later_functions(path, mine, columns)
             at = steady if "rest" in kinds else None
             complete = of_path
@@ -181,25 +182,17 @@ def judge(
     for e, group in enumerate(whole):
         own = [columns.owner[group] in columns.owner[list(m[group])] for m in members]
         instead = [g for m in members for g in m[group] if columns.owner[g] != columns.owner[group]]
-        joint = _joint_of(columns.candidate(group), before[e], after[e])
-        found.append(
-            Slot(
-                group,
-                Evidence(
-                    tuple(map(float, gains[e])),
-                    tuple(map(float, expected[e])),
-                    *folds.deviations(gains[e], expected[e], joint),
-                    float(np.mean(own)),
-                    float(np.mean([bool(m[group]) for m in members])),
-                    int(folds.independent[joint]),
-                ),
-                before[e],
-                after[e],
-                tuple(dict.fromkeys(instead)),
-                values[group],
-                joint,
-            )
+        joint = _joint_of(columns.candidate(group), before[e, :n], after[e, :n])
+        evidence = Evidence(
+            tuple(map(float, gains[e])),
+            tuple(map(float, expected[e])),
+            *folds.deviations(gains[e], expected[e], joint),
+            float(np.mean(own)),
+            float(np.mean([bool(m[group]) for m in members])),
+            int(folds.independent[joint]),
         )
+        rivals = tuple(dict.fromkeys(instead))
+        found.append(Slot(group, evidence, before[e], after[e], rivals, values[group], joint))
     of_arm = list(dict.fromkeys(_of_the_arm(slot, columns) for slot in found))
     if of_arm != list(whole):
         return judge(paths, folds, of_arm, parts, friction, steady)
@@ -240,11 +233,16 @@ def gains_of(before: float | Array, after: float | Array) -> Array:
 
 
 class HeldOut:
-    """Errors on one held-out part of models with further columns, fitted to the rows outside it."""
+    """Errors on one held-out part of models with further columns, fitted to the rows outside it.
+
+    A kept model predicts a part as well with parameters that have moved as with the effect in whose
+    place they moved: how far they are from the prior counts, too, with an equal part in each part.
+    """
 
     def __init__(self, span: Span, folds: Folds, part: int, columns: Mapping[int, Array]) -> None:
-        q, further = span.basis, len(span.basis) - folds.held.shape[1]
-        held, out = (np.pad(m[part], (0, further)) for m in (folds.held, folds.out))
+        q, further = span.basis, span.of_prior
+        out = np.pad(folds.out[part], (0, further))
+        held = np.pad(folds.held[part], (0, further), constant_values=True)
         outside = q[out]
         sizes, directions = np.linalg.eigh(np.eye(q.shape[1]) - outside.T @ outside)
         seen = sizes > LEAST_INFORMATION
@@ -255,9 +253,10 @@ class HeldOut:
         whole, lost = every.T @ every, every[out].T @ every[out]
         qe = -outside.T @ every[out]
         self._whole, self._gram = whole, whole - lost - qe.T @ along
+        self._rows, self._n = held, len(span.ends)
+        self._joint = np.append(span.joint_of, np.full(further, self._n - 1))[held]
+        self._share = np.where(self._joint < self._n - 1, 1.0, 1.0 / folds.count)
         self._held = every[held] - q[held] @ along
-        self._rows = folds.held[part]
-        self._joint, self._n = span.joint_of[folds.held[part]], len(span.ends) - 1
         widths = [c.shape[1] for c in columns.values()]
         starts = 1 + np.concatenate([[0], np.cumsum(widths)]).astype(int)
         self._at = {
@@ -265,7 +264,7 @@ class HeldOut:
         }
 
     def errors(self, groups: Sequence[int]) -> Array:
-        """Return the errors of the held-out rows of the model with some groups."""
+        """Return the errors of the held-out rows, and of a prior, of the model with some groups."""
         error = self._held[:, 0]
         if groups:
             own = np.concatenate([self._at[g] for g in groups])
@@ -276,14 +275,15 @@ class HeldOut:
 
     def on_rows(self, torque: Array) -> Array:
         """Return a torque (R + k,) on the held-out rows."""
-        return np.asarray(torque[: len(self._rows)][self._rows])
+        return np.asarray(torque[self._rows])
 
     def squares(self, errors: Array, at: Mask | None = None) -> Array:
-        """Return the sum of squares of each joint (n,) of errors.
+        """Return the sum of squares (n + 1,) of errors: of each joint, and the part's of the prior.
 
-        Of all held-out rows, or of those that are marked in ``at`` (R,).
+        Of all held-out rows, or of those that are marked in ``at`` (R + k,).
         """
-        squares = errors**2 if at is None else errors**2 * at[self._rows]
+        squares = self._share * errors**2
+        squares = squares if at is None else squares * at[self._rows]
         return np.asarray(np.bincount(self._joint, weights=squares, minlength=self._n), float)
 
 

@@ -65,6 +65,11 @@ class Span:
     def _slices(self) -> list[slice]:
         return [slice(int(a), int(b)) for a, b in pairwise(self.ends)]
 
+    @property
+    def of_prior(self) -> int:
+        """Number k of rows of a prior, with which those of the joints count as independent."""
+        return len(self.residual) - int(self.ends[-1])
+
     @cached_property
     def joint_of(self) -> Indices:
         """Joint of each row (R,)."""

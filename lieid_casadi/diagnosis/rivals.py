@@ -105,10 +105,11 @@ def _same_kind(mine: Candidate, other: Candidate) -> bool:
 
 
 def _blocks(found: Round) -> Indices:
-    """Return the block of time of each row of the joints."""
+    """Return the block of time of each row (R + k,); those of a prior are one block."""
     length = max(BLOCK, 2.0 * found.folds.gap)
     times = np.concatenate([found.rows.times[run.all] for run in found.rows.runs])
-    return np.asarray(np.unique((times // length).astype(int), return_inverse=True)[1])
+    block = np.unique((times // length).astype(int), return_inverse=True)[1]
+    return np.append(block, np.full(found.paths.span.of_prior, block.max() + 1))
 
 
 def _squares(found: Round, columns: Sequence[Array], block: Indices) -> Array:
@@ -116,7 +117,7 @@ def _squares(found: Round, columns: Sequence[Array], block: Indices) -> Array:
     residual = found.paths.span.residual
     more = np.hstack(list(columns))
     error = residual - more @ solved(more.T @ more, more.T @ residual)
-    return np.asarray(np.bincount(block, weights=error[: len(block)] ** 2), dtype=float)
+    return np.asarray(np.bincount(block, weights=error**2), dtype=float)
 
 
 def _difference(found: Round, mine: Array, theirs: Array, parameters: int) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.diagnosis.candidates import Candidate, Course, CourseKind, is_form, reason_against
 from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.evidence import Slot, gains_of, judge, solved
-from lieid_casadi.diagnosis.folds import Folds, folds_of
+from lieid_casadi.diagnosis.folds import Folds, folds_of, redundancy
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, PathState, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows
@@ -58,7 +58,8 @@ class Round:
 
     #: with the grids that were refined
     rows: Rows
-    #: (n,): standard deviation of the residual beside the path, N·m, by which rows are weighted
+    #: (n,): standard deviation by which rows are weighted, N·m: of the residual beside the path,
+    #: or the given noise's per independent sample
     spread: Array
     folds: Folds
     paths: Paths
@@ -98,13 +99,15 @@ def search(
     """
     # smooth functions are chosen anew for every residual
     rows = rows.with_candidates([c for c in rows.candidates if c.name != SMOOTH and wanted(c)])
-    scale = rows.spread() if noise is None else np.array([each.spread for each in noise])
+    scale = rows.spread()
+    if noise is not None:  # in the unit of the prior: per independent sample
+        scale = np.array([np.sqrt(redundancy(each)) * each.spread for each in noise])
     nothing = np.zeros((0, sum(run.count for run in rows.runs)), dtype=bool)
     rests = list[list[Array]]()
     for _ in range(2):  # on the first grid, then on finer ones around what it chose
         paths = Paths(*_weighted(rows, scale, prior), nothing)
         whole = forward(paths, -1, _rules(paths.columns, rows, options))
-        rests = [_residual_beside(paths, groups, rows, scale) for groups in (whole, ())]
+        rests = [residual_beside(paths, groups, rows, scale) for groups in (whole, ())]
         if noise is None:
             scale = rows.spread(rests[0])
         rows = rows.with_candidates(_refined(paths, whole, rows))
@@ -120,9 +123,9 @@ def search(
         own_noise = noise
         if own_noise is None:
             first = forward(paths, -1, _rules(paths.columns, rows, options))
-            rest = _residual_beside(paths, first, rows, scale)
+            rest = residual_beside(paths, first, rows, scale)
             own_noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
-        dependence = _dependence(paths.columns, own_noise)
+        dependence = _dependence(paths.columns, own_noise, independent=noise is not None)
         folds, slots, functions = _judged(paths, rows, scale, dependence, options, beside_friction)
         finer = _finer_instants(rows, slots) if coarse and not functions else []
         if finer:
@@ -155,7 +158,7 @@ def _judged(
     rules = _rules(paths.columns, rows, options, dependence)
     every = range(len(rows.runs))
     whole, other = (forward(paths, -1, rules, smooth_first=first) for first in ((), every))
-    folds = folds_of(rows, _residual_beside(paths, whole, rows, spread), options.folds)
+    folds = folds_of(rows, residual_beside(paths, whole, rows, spread), options.folds)
     kept = _promising(paths, (whole, other), rules)
     few = Paths(paths.span, paths.columns.of_groups(kept), folds.out)
     of_few = _rules(few.columns, rows, options, dependence[kept])
@@ -165,6 +168,7 @@ def _judged(
         for kind in sorted(kinds if beside_friction else ())
     }
     steady = np.concatenate(rows.away_from_reversals)
+    steady = np.pad(steady, (0, paths.span.of_prior), constant_values=True)
     judged = partial(judge, paths, folds, friction=friction, steady=steady)
 
     def outside(smooth_first: Collection[int]) -> list[list[int]]:
@@ -305,11 +309,12 @@ def _weighted(rows: Rows, spread: Array, prior: Array | None) -> tuple[Span, Col
     return rows.span(spread, prior), rows.columns.weighted(rows.weights(spread))
 
 
-def _dependence(columns: Columns, noise: Sequence[Noise]) -> Array:
+def _dependence(columns: Columns, noise: Sequence[Noise], *, independent: bool) -> Array:
     """Return how much more each group gains from correlated noise (G,).
 
     That is the variance of a column's product with the noise, relative to white noise of the same
     size, at least 1. A column of slow changes gains more from slow noise than one of fast changes.
+    Less is left if rows are weighted by the noise of ``independent`` samples.
     """
     power, coloured = np.zeros((2, columns.count))
     for own, each in zip(columns.joints, noise, strict=True):
@@ -317,7 +322,7 @@ def _dependence(columns: Columns, noise: Sequence[Noise]) -> Array:
             continue
         white, own_noise = each.variances(own.matrix)
         power[own.columns] += white
-        coloured[own.columns] += own_noise
+        coloured[own.columns] += own_noise / (redundancy(each) if independent else 1.0)
     ratio = np.divide(coloured, power, out=np.ones(columns.count), where=power > 0.0)
     return np.maximum(np.add.reduceat(ratio, columns.start) / columns.size, 1.0)
 
@@ -356,7 +361,7 @@ def _alternatives(rows: Rows, candidate: Candidate) -> int:
     return len(rows.runs) - 1 if candidate.effect.couples else 1
 
 
-def _residual_beside(paths: Paths, groups: Sequence[int], rows: Rows, spread: Array) -> list[Array]:
+def residual_beside(paths: Paths, groups: Sequence[int], rows: Rows, spread: Array) -> list[Array]:
     """Return the residual of each joint beside the groups of a path, N·m."""
     span, weights = paths.span, rows.weights(spread)
     outside = np.hstack([np.zeros((len(span.residual), 0)), *paths.all_outside(groups)])

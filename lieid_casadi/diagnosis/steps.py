@@ -31,7 +31,7 @@ from lieid_casadi.diagnosis.step import (
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.errors import LateFrictionWarning
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.fit_warnings import WEAK
+from lieid_casadi.identification.regression.least_squares import WEAK
 
 IN_MOTION = ("rms_train", "rms_cv", "rms_test_moving")  # of the errors of a model
 ABSORBED = 1e-6  # part of a column outside the model's span, below which the model imitates it
@@ -95,12 +95,8 @@ class Accepted:
         covariance = fit.covariance[np.ix_(own, own)]
         if not own or not np.isfinite(covariance).all():
             return float("nan")
-        return coefficient_deviations(
-            fit.values[own],
-            covariance,
-            independent=self.evidence.independent,
-            tried=self.candidate.scanned,
-        )
+        known, tried = self.evidence.independent, self.candidate.scanned
+        return coefficient_deviations(fit.values[own], covariance, known, tried)
 
 
 def _doubt(candidate: Candidate, slot: Slot, options: DiagnosisOptions, *, sudden: bool) -> Doubt:
@@ -291,7 +287,8 @@ def difference_of(found: Round, slot: Slot, *, of_model: bool) -> Difference:
     others = (s.group for s in found.slots if s is not slot)
     together = np.hstack(found.paths.all_outside([slot.group, *others]))
     variances = np.diag(np.linalg.pinv(together.T @ together, hermitian=True))[: len(values)]
-    lasting = found.rows.runs[j].count / max(int(found.folds.independent[j]), 1)  # rows
+    kept, independent = found.paths.span.of_prior, max(int(found.folds.independent[j]), 1)
+    lasting = 1.0 if kept else found.rows.runs[j].count / independent  # rows
     std = np.sqrt(lasting * np.maximum(variances, 0.0))
     since = period = None
     signals: tuple[str, ...] = ()

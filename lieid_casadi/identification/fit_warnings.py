@@ -24,6 +24,7 @@ from lieid_casadi.errors import (
 from lieid_casadi.identification.regression.design_matrix import Design, has_dry_friction
 from lieid_casadi.identification.regression.fixed_point import ROUNDS, FitState
 from lieid_casadi.identification.regression.least_squares import (
+    WEAK,
     Factor,
     LeastSquaresSolution,
     Rows,
@@ -47,7 +48,6 @@ OF_NUMBERS = (
     StatedMassWarning,
     UnidentifiableWarning,
 )
-WEAK = 0.05  # of a column's norm that the other columns do not span: below it, a warning
 SHARE_AT_REST = 0.01  # of the samples, above which rest is reported
 LIMITED = np.arange(0.5, 1.0, 0.05)  # quantiles of position errors, from which a limit may act
 OF_LIMIT = 0.5  # of a joint's error, below which a limit of its drive must lower it to be stated

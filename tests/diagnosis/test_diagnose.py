@@ -311,14 +311,15 @@ def test_noise_exceeds_deviations_of_coefficients_as_often_as_a_normal_number():
     values = random.normal(size=(draws, 3)) @ root.T
     known = random.chisquare(stretches, draws) / stretches
     found = [
-        evidence.coefficient_deviations(v, k * covariance, independent=stretches)
+        evidence.coefficient_deviations(v, k * covariance, stretches, 1.0)
         for v, k in zip(values, known, strict=True)
     ]
     for limit in (1.0, 2.0, 3.0):
         expected = 2.0 * norm.sf(limit)
         error = np.sqrt(expected / draws)
         assert np.mean(np.array(found) > limit) == pytest.approx(expected, abs=4.0 * error)
-    assert evidence.coefficient_deviations(np.array([3.0]), np.eye(1)) == pytest.approx(3.0)
+    known = evidence.coefficient_deviations(np.array([3.0]), np.eye(1), 1e9, 1.0)
+    assert known == pytest.approx(3.0)
 
 
 def test_a_ripple_in_noise_is_the_best_of_all_orders_that_were_tried():
@@ -336,7 +337,7 @@ def test_a_ripple_in_noise_is_the_best_of_all_orders_that_were_tried():
         waves = [np.column_stack([np.sin(k * angle), np.cos(k * angle)]) for k in grid[:, 0]]
         largest = max(float(np.sum((np.linalg.qr(w)[0].T @ noise) ** 2)) for w in waves)
         value = np.array([np.sqrt(largest), 0.0])  # of two coefficients in standard deviations
-        tails.append(evidence.coefficient_deviations(value, np.eye(2), tried=tried))
+        tails.append(evidence.coefficient_deviations(value, np.eye(2), 1e9, tried))
     assert tried > 10.0
     for limit in (1.0, 2.0):
         expected = 2.0 * norm.sf(limit)

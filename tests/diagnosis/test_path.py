@@ -94,20 +94,37 @@ def test_gains_along_a_path_are_those_of_least_squares(part):
         np.testing.assert_allclose(values[columns.of_group(group)], solution, rtol=2e-3, atol=1e-6)
 
 
-def test_held_out_errors_are_those_of_a_fit_to_the_other_rows():
+@pytest.mark.parametrize("prior", [np.zeros((0, MODEL)), 5.0 * np.eye(MODEL)], ids=["free", "kept"])
+def test_held_out_errors_are_those_of_a_fit_to_the_other_rows(prior):
+    """Rows of a prior are in every fit, and an equal part of their squares in every part."""
     model, residual, columns = problem(2, signal=(3,))
-    span, folds = Span.of(model, np.split(residual, 2)), parts()
+    span, folds = Span.of(model, np.split(residual, 2), prior), parts()
     groups = (3, 4)
     outside = {g: span.outside(columns.stacked(g)) for g in groups}
+    kept = np.pad(prior, ((0, 0), (0, sum(columns.size[g] for g in groups))))
     for k in range(folds.count):
         matrix = np.hstack([np.concatenate(model), *(columns.stacked(g) for g in groups)])
         rest, held = ~folds.out[k], folds.held[k]
-        values = np.linalg.lstsq(matrix[rest], residual[rest])[0]
+        torque = np.append(residual[rest], np.zeros(len(prior)))
+        values = np.linalg.lstsq(np.concatenate([matrix[rest], kept]), torque)[0]
         error = residual[held] - matrix[held] @ values
         expected = np.bincount(span.joint_of[held], weights=error**2)
+        moved = np.sum((kept @ values) ** 2) / folds.count
         part = HeldOut(span, folds, k, outside)
         found = part.squares(part.errors(groups))
-        np.testing.assert_allclose(found, expected, rtol=1e-6)
+        np.testing.assert_allclose(found, [*expected, moved], rtol=1e-6)
+
+
+def test_parameters_of_a_kept_model_that_move_in_its_place_are_no_reason_against_an_effect():
+    """Held-out rows are predicted equally well by a parameter that has moved; the prior is not."""
+    model, residual, columns = problem(4, signal=(0,), size=0.5)
+    model[0][:, 0] = columns.stacked(0)[:ROWS, 0]  # the effect is a change of this parameter
+    for scale, supported in ((0.1, False), (20.0, True)):
+        span, folds = Span.of(model, np.split(residual, 2), scale * np.eye(MODEL)), parts(10)
+        paths, every = Paths(span, columns, folds.out), np.ones(len(span.residual), dtype=bool)
+        (slot,), _ = judge(paths, folds, [0], [[0]] * 10, {}, every)
+        assert (slot.evidence.deviations > 5.0) == supported
+        assert (slot.fall > 0.05) == supported
 
 
 def test_effects_that_are_there_are_selected_in_every_path_and_noise_is_not_supported():

@@ -8,7 +8,7 @@ from scipy.special import erf
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.identification.regression.least_squares import JointRows, Rows
-from lieid_casadi.identification.uncertainty.covariance import hac_covariance
+from lieid_casadi.identification.uncertainty.covariance import hac_covariance, prior_rows
 from lieid_casadi.identification.uncertainty.noise_model import dry_level, friction_torque_std
 from lieid_casadi.recording import Processing, process
 
@@ -28,6 +28,19 @@ def true_base(model):
     parts = {"coulomb": FRICTION.coulomb, "viscous": FRICTION.viscous, "offset": FRICTION.offset}
     effects = [parts[c.name.split(".")[0]][c.joint] for c in model.columns]
     return model.base.combination @ np.concatenate([ARM.parameters, effects])
+
+
+def test_a_weak_parameter_is_free_where_a_fit_is_the_prior_of_later_data():
+    """Two columns that differ by 2 %: their sum is known, each of them is not."""
+    columns = np.array([[1.0, 1.0, 0.0], [1.0, 0.98, 0.0], [0.0, 0.0, 1.0]])
+    covariance = np.linalg.inv(columns.T @ columns)
+    rows = prior_rows(covariance)
+    known = np.linalg.inv(rows.T @ rows)
+    ratio = np.sqrt(np.diag(known) / np.diag(covariance))
+    assert np.all(ratio[:2] > 50.0)
+    assert ratio[2] == pytest.approx(1.0)
+    both = np.array([1.0, 0.99, 0.0])
+    assert both @ known @ both < 3.0 * (both @ covariance @ both)
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ VANISHING = 1e-100  # norm of a column that counts as zero: its inverse squared 
 NO_TORQUE = 1e-9  # norm of a column relative to the largest that counts as zero
 NAMED_SHARE = 0.3  # of the largest component of a direction: smaller ones are not named
 MOST_NAMED = 4
+WEAK = 0.05  # part of a column that the others do not span: below it, its parameter is weak
 
 
 @dataclass(frozen=True, eq=False)

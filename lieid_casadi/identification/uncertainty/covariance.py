@@ -31,7 +31,13 @@ from scipy.fft import irfft, next_fast_len, rfft
 from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
-from lieid_casadi.identification.regression.least_squares import JointRows, Rows, solve, stacked
+from lieid_casadi.identification.regression.least_squares import (
+    WEAK,
+    JointRows,
+    Rows,
+    solve,
+    stacked,
+)
 from lieid_casadi.identification.regression.variable_projection import shape_columns
 
 QUIET = 5  # consecutive lags without significant correlation that end the correlation
@@ -310,11 +316,23 @@ def with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
     return Rows(joints, count, rows.segments)
 
 
+FREE = 100.0  # standard deviations by which a weak parameter may move in place of one
 EXACT = 1e-12  # variance relative to the largest below which a direction is known exactly
 
 
 def prior_rows(covariance: Array) -> Array:
-    """Return rows R (p, p) whose square is the inverse of a covariance, which may be singular."""
+    """Return rows R (p, p) that state what a fit knows of its parameters for data to come.
+
+    RᵀR is the inverse of their covariance, which may be singular. Weak parameters are free: errors
+    of a model do not average out along the little that other columns leave of theirs.
+    """
+    rows, variance = _root_of_inverse(covariance), np.diag(covariance)
+    weak = variance * np.sum(rows**2, axis=0) > WEAK**-2
+    along = FREE * covariance[:, weak] / np.sqrt(variance[weak])
+    return _root_of_inverse(covariance + along @ along.T)
+
+
+def _root_of_inverse(covariance: Array) -> Array:
     sizes, axes = np.linalg.eigh(covariance)
     least = EXACT * max(float(sizes.max(initial=0.0)), 1e-300)
     return np.asarray((axes / np.sqrt(np.maximum(sizes, least))).T)
