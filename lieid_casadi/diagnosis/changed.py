@@ -73,9 +73,9 @@ def diagnose_changed(
     changes = [c for c in every if c.candidate.of_arm]
     differing = [difference_of(found, c.slot, of_model=True) for c in every if c not in changes]
     after = _misfit(rows, expected, _left(found, every))
-    steps = _steps(found, changes, expected, options)
     rest = _rest(found, every)
     ratio = np.nan_to_num(_misfit(rows, expected, rest))
+    steps = _steps(found, changes, expected, ratio > options.largest_error, options)
     weighted = [r * w for r, w in zip(rest, rows.weights(found.spread), strict=True)]
     beside = replace(found.paths.span, residual=np.concatenate(weighted))
     parts = unexplained_parts(
@@ -257,7 +257,7 @@ def _misfit(rows: Rows, expected: Array, errors: Sequence[Array]) -> Array:
 
 
 def _steps(
-    found: Round, changes: Sequence[_Change], expected: Array, options: DiagnosisOptions
+    found: Round, changes: Sequence[_Change], expected: Array, rest: Mask, options: DiagnosisOptions
 ) -> tuple[Step, ...]:
     slots = [c.slot.group for c in changes]
     accepted = [Accepted.of(found, c.slot, slots, options) for c in changes]
@@ -265,8 +265,7 @@ def _steps(
     def errors(of: Sequence[_Change]) -> Array:
         return _misfit(found.rows, expected, _left(found, of)) * expected
 
-    groups = groups_of(accepted)
-    steps = []
+    groups, steps = groups_of(accepted), list[Step]()
     for k, (change, own) in enumerate(zip(changes, accepted, strict=True)):
         without = [*changes[:k], *changes[k + 1 :]]
         before, after = (float(errors(of)[own.joint]) for of in (without, changes))
@@ -276,6 +275,7 @@ def _steps(
                 _numbers(found, change),
                 before=before,
                 after=after,
+                unexplained=rest,
                 fall=Fall(None, None, before - after),
                 torque=found.rows.torque[own.joint],
                 group=groups[k],

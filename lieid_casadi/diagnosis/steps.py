@@ -8,7 +8,7 @@ from string import ascii_letters
 
 import numpy as np
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay, is_form
 from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations
@@ -146,8 +146,7 @@ def steps_of(
 
     ``accepted`` is in the order of the path, ``rows`` are those of the final fit, ``first`` has the
     errors of the first model (see `errors_of`), ``tested`` compares the final fit with the test,
-    and ``ratio`` (n,) is its error over the noise floor. Where that is unexplained, and an effect
-    explains less than is left, its name is not certain. Without its only effect the final model is
+    and ``ratio`` (n,) is its error over the noise floor. Without its only effect the final model is
     the first one.
     """
     fit = final.fit
@@ -167,16 +166,13 @@ def steps_of(
         fall = Fall(*(None if b is None or a is None else float(b[j] - a[j]) for b, a in errors))
         if found.candidate.effect.per_recording:  # the test has another drift
             fall = replace(fall, test=None)
-        after = float(fit.rms_cv[j])
-        before = after + float(fall.cv or 0.0)
-        rest = ratio[j] > options.largest_error and before**2 < 2.0 * after**2
-        if found.status == "named" and rest:
-            found = replace(found, doubt="rest")
+        after, before = (float(fit.rms_cv[j]) + more for more in (0.0, fall.cv or 0.0))
         step = step_of(
             found,
             fitted_values(fit, found.placement)[2],
             before=before,
             after=after,
+            unexplained=ratio > options.largest_error,
             fall=fall,
             torque=rows.torque[j],
             group=groups[k],
@@ -197,6 +193,7 @@ def step_of(
     *,
     before: float,
     after: float,
+    unexplained: Mask,
     fall: Fall,
     torque: Array,
     group: int,
@@ -206,8 +203,11 @@ def step_of(
     """Return the step of an effect with value, standard deviation and unit of its parameters.
 
     ``torque`` (R,) is the measured one of its joint, N·m, and ``deviations`` those of its
-    coefficients from zero.
+    coefficients from zero. If its joint stays ``unexplained`` (n,), and it explains less than is
+    left, its name is not certain.
     """
+    if unexplained[found.joint] and found.status == "named" and before**2 < 2.0 * after**2:
+        found = replace(found, doubt="rest")
     explained, size = np.sqrt(max(before**2 - after**2, 0.0)), float(torque @ torque)
     effect = found.placement.effect
     signals = effect.option.split(".") if effect.name == SMOOTH else []

@@ -321,7 +321,7 @@ EXACT = 1e-12  # variance relative to the largest below which a direction is kno
 
 
 def prior_rows(covariance: Array) -> Array:
-    """Return rows R (p, p) that state what a fit knows of its parameters for data to come.
+    """Return rows R (p, p) that hold the parameters of a fit within its uncertainty on new data.
 
     RᵀR is the inverse of their covariance, which may be singular. Weak parameters are free: errors
     of a model do not average out along the little that other columns leave of theirs.
