@@ -37,7 +37,7 @@ from lieid_casadi.diagnosis.steps import (
 from lieid_casadi.errors import unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
-from lieid_casadi.identification.uncertainty.covariance import prior_rows
+from lieid_casadi.identification.uncertainty.covariance import prior_rows, with_weak_free
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
@@ -65,7 +65,7 @@ def diagnose_changed(
         rows,
         options,
         wanted=lambda c: c.reaches_all or bool(raised[c.joint]),
-        prior=prior_rows(fit.covariance),
+        prior=prior_rows(with_weak_free(fit.covariance)),
         noise=noise,
     )
     every, rejected = _changes(found, expected, raised, options.least_misfit * rises, options)

@@ -321,21 +321,21 @@ EXACT = 1e-12  # variance relative to the largest below which a direction is kno
 
 
 def prior_rows(covariance: Array) -> Array:
-    """Return rows R (p, p) that hold the parameters of a fit within its uncertainty on new data.
-
-    RᵀR is the inverse of their covariance, which may be singular. Weak parameters are free: errors
-    of a model do not average out along the little that other columns leave of theirs.
-    """
-    rows, variance = _root_of_inverse(covariance), np.diag(covariance)
-    weak = variance * np.sum(rows**2, axis=0) > WEAK**-2
-    along = FREE * covariance[:, weak] / np.sqrt(variance[weak])
-    return _root_of_inverse(covariance + along @ along.T)
-
-
-def _root_of_inverse(covariance: Array) -> Array:
+    """Return rows R (p, p) whose square is the inverse of a covariance, which may be singular."""
     sizes, axes = np.linalg.eigh(covariance)
     least = EXACT * max(float(sizes.max(initial=0.0)), 1e-300)
     return np.asarray((axes / np.sqrt(np.maximum(sizes, least))).T)
+
+
+def with_weak_free(covariance: Array) -> Array:
+    """Return a covariance (p, p) in which weak parameters may have any value.
+
+    Errors of a model do not average out along the little that other columns leave of theirs.
+    """
+    variance = np.diag(covariance)
+    weak = variance * np.sum(prior_rows(covariance) ** 2, axis=0) > WEAK**-2
+    along = FREE * covariance[:, weak] / np.sqrt(variance[weak])
+    return np.asarray(covariance + along @ along.T)
 
 
 def scaled_axes(covariance: Array) -> tuple[Array, Array, Array]:
