@@ -418,6 +418,21 @@ def test_an_effect_that_explains_less_than_is_left_is_not_certain(size, ratio, s
     assert any(text in sentence for sentence in found.sentences) == (status == "one_of")
 
 
+@pytest.mark.parametrize(
+    ("size", "largest", "status"),
+    [(0.2, 0.01, "one_of"), (0.2, 1.5, "named"), (0.5, 0.01, "named")],
+)
+def test_a_change_that_explains_less_than_is_left_is_not_certain(size, largest, status):
+    fit = lieid.identify(MODEL, run(arm_with(), 1))
+    options = DiagnosisOptions(
+        name_deviations=0.0, rival_deviations=-1e3, largest_error=largest, worth_of_change=0.01
+    )
+    found = lieid.diagnose(fit, run(arm_with(("viscous_asymmetric", 0, size)), 2), options=options)
+    (step,) = found.steps
+    assert (step.before**2 > 2.0 * step.after**2) == (size > 0.3)
+    assert step.status == status
+
+
 def test_smooth_functions_are_chosen_beside_the_path(monkeypatch):
     """A refined grid numbers groups anew: those of the path are not the same numbers of later."""
 
