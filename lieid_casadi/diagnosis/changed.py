@@ -257,7 +257,7 @@ def _misfit(rows: Rows, expected: Array, errors: Sequence[Array]) -> Array:
 
 
 def _steps(
-    found: Round, changes: Sequence[_Change], expected: Array, rest: Mask, options: DiagnosisOptions
+    found: Round, changes: Sequence[_Change], expected: Array, over: Mask, options: DiagnosisOptions
 ) -> tuple[Step, ...]:
     slots = [c.slot.group for c in changes]
     accepted = [Accepted.of(found, c.slot, slots, options) for c in changes]
@@ -275,7 +275,7 @@ def _steps(
                 _numbers(found, change),
                 before=before,
                 after=after,
-                unexplained=rest,
+                unexplained=over,
                 fall=Fall(None, None, before - after),
                 torque=found.rows.torque[own.joint],
                 group=groups[k],
