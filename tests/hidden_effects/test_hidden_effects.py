@@ -74,6 +74,19 @@ def test_a_change_whose_best_shape_is_refused_is_none():
 
 
 @pytest.mark.slow
+def test_a_change_in_whose_place_uncertain_parameters_move_is_found():
+    """Six times the expected error; 22 s in noise that is correlated over 0.7 s."""
+    found = scored("changed-single-offset-5x-102")
+    assert [(s["effect"], s["joints"]) for s in found["steps"]] == [("offset", [4])]
+
+
+@pytest.mark.slow
+def test_parameters_of_joints_that_moved_in_one_direction_are_no_changes():
+    """Dry friction and offset of three joints are weak in the fit, and off by many deviations."""
+    assert scored("changed-correlated-0.5s-114")["steps"] == []
+
+
+@pytest.mark.slow
 def test_command_line_and_python_agree():
     name = STRONG[0]
     by_python, by_command = scored(name), scored(name, by_command=True)
