@@ -1,14 +1,13 @@
-"""The final model of a diagnosis: its errors without single effects, from inner products.
+"""The final model of a diagnosis without single effects, from inner products of its columns.
 
-Effects are left out and the remaining linear parameters fitted again; shape parameters keep their
-final values. All errors follow from inner products of the final model's columns, so that leaving an
-effect out costs nothing.
+Effects are left out and the remaining linear parameters fitted again, with the weights of the final
+fit; shape parameters keep their values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.diagnosis.evidence import solved
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
+from lieid_casadi.identification.prediction import training_rms
 from lieid_casadi.identification.regression.cross_validation import (
     Fold,
     cross_validated_rms,
@@ -28,36 +28,28 @@ from lieid_casadi.recording import Processed
 
 @dataclass(frozen=True, eq=False)
 class FinalModel:
-    """The final model on its training recordings and on a test."""
+    """The final model on its training recordings."""
 
     fit: Fit
+    segments: Sequence[Processed]
     #: (p + 1, p + 1) of each joint: inner products of columns and torque of its rows in motion
     train: tuple[Array, ...]
     #: (p + 1, p + 1): inner products of what is known before any data
     priors: Array
     #: (n,): numbers of these rows
     counts: Array
-    test: tuple[Array, ...] | None
-    test_counts: Array
     #: those of the fit's cross-validated error
     folds: tuple[Fold, ...]
 
     @classmethod
-    def of(
-        cls, fit: Fit, segments: Sequence[Processed], tests: Sequence[Processed] | None
-    ) -> FinalModel:
-        """Return the final model of a fit to segments, and to those of a test."""
+    def of(cls, fit: Fit, segments: Sequence[Processed]) -> FinalModel:
+        """Return the final model of a fit to segments."""
         design = Design(fit.compiled, segments)
         rows = design.rows(fit.shapes, fit.parameters)
         train, counts = _products(rows)
         known = with_priors(Factor(np.zeros((1, rows.count + 1)), 0), design).r
-        of_test, test_counts = None, np.zeros(fit.model.n)
-        if tests:
-            of_test, test_counts = _products(
-                Design(fit.compiled, tests).rows(fit.shapes, fit.parameters)
-            )
         folds = fold_factors(design, rows, fit.noise, fit.values)
-        return cls(fit, train, known.T @ known, counts, of_test, test_counts, folds)
+        return cls(fit, segments, train, known.T @ known, counts, folds)
 
     def columns_of(self, placements: Sequence[Placement]) -> Indices:
         """Return the columns of placed effects."""
@@ -82,22 +74,33 @@ class FinalModel:
         )
         return float(1.0 - after / before)
 
-    def errors(self, without: Indices) -> dict[str, Array | None]:
-        """Return the errors in motion (n,) without some columns, N·m, as `Step.errors`."""
-        count = len(self.fit.values)
-        kept = np.setdiff1d(np.arange(count), without)
-        values = np.zeros(count)
+    def without(self, columns: Indices) -> Fit:
+        """Return the fit without some columns and its errors; the covariance is the final one."""
+        fit, values = self.fit, self._values(columns)
+        parameters = np.zeros_like(fit.parameters)
+        parameters[fit.model.base.kept] = values
+        rms, raw = training_rms(fit.compiled, self.segments, parameters, fit.shapes)
+        return replace(
+            fit, values=values, parameters=parameters, rms_train=rms, rms_train_raw=raw,
+            rms_cv=self.cross_validated(columns),
+        )  # fmt: skip
+
+    def rms_moving(self, without: Indices) -> Array:
+        """Return the training error in motion (n,) without some columns, N·m."""
+        full = np.append(-self._values(without), 1.0)
+        squares = np.maximum(np.einsum("a,jab,b->j", full, np.array(self.train), full), 0.0)
+        unknown = np.full(len(squares), np.nan)
+        mean = np.divide(squares, self.counts, out=unknown, where=self.counts > 0)
+        return np.asarray(np.sqrt(mean))
+
+    def _values(self, without: Indices) -> Array:
+        """Return the values (p,), fitted again, zero for some columns."""
+        values = np.zeros(len(self.fit.values))
+        kept = np.setdiff1d(np.arange(len(values)), without)
         weights = 1.0 / self.fit.noise**2
         gram = np.einsum("j,jab->ab", weights, np.array(self.train)) + self.priors
         values[kept] = solved(gram[np.ix_(kept, kept)], gram[kept, -1])
-        lasting = values * (self.fit.lasting_values == self.fit.values)
-        test = None if self.test is None else _rms(self.test, self.test_counts, lasting)
-        return {
-            "rms_train": _rms(self.train, self.counts, values),
-            "rms_test": test,
-            "rms_test_moving": test,
-            "rms_cv": self.cross_validated(without),
-        }
+        return values
 
     def cross_validated(self, without: Indices) -> Array:
         """Return the errors in motion (n,) of held-out blocks without some columns, N·m."""
@@ -122,11 +125,3 @@ def _products(rows: Rows) -> tuple[tuple[Array, ...], Array]:
         found.append(wide)
         counts.append(len(joint.torque))
     return tuple(found), np.array(counts, dtype=float)
-
-
-def _rms(products: Sequence[Array], counts: Array, values: Array) -> Array:
-    """Return the RMS (n,) of torque minus columns · values."""
-    full = np.append(-values, 1.0)
-    squares = np.array([max(float(full @ gram @ full), 0.0) for gram in products])
-    mean = np.divide(squares, counts, out=np.full(len(counts), np.nan), where=counts > 0)
-    return np.asarray(np.sqrt(mean))

@@ -128,7 +128,7 @@ class State:
     @cached_property
     def model(self) -> FinalModel:
         """The fit's errors without single effects."""
-        return FinalModel.of(self.fit, self.search.segments, None)
+        return FinalModel.of(self.fit, self.search.segments)
 
     def motion_gain(
         self, others: Sequence[Accepted], joint: int | None = None

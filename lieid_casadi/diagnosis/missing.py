@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.diagnosis.candidates import Candidate, is_delay
@@ -241,16 +242,21 @@ def _described(
     """Return the diagnosis, whose numbers are those of the state's fit; ``rows`` are the first."""
     search, first, fit = state.search, state.search.first, state.fit
     tests = compared_segments(fit, recorded_tests) if recorded_tests else None
-    final = FinalModel.of(fit, search.segments, tests)
+    final = FinalModel.of(fit, search.segments)
     after = compare(fit, recorded_tests) if recorded_tests else None
-    before = compare_segments(first, recorded_tests, tests, with_noise=False) if tests else None
+
+    def errors(of: Fit) -> dict[str, Array | None]:
+        if tests is None:
+            return errors_of(of, None)
+        return errors_of(of, compare_segments(of, recorded_tests, tests, with_noise=False))
+
     fitted = compare(fit, train)
     last_rows = Rows.of(
         fit, search.segments, known=search.known, before=rows, with_candidates=False
     )
-    baseline, options = errors_of(first, before), search.options
+    baseline, options = errors(first), search.options
     ratio, where = over_floor(fitted, after)
-    steps = steps_of(final, state.accepted, last_rows, baseline, after, ratio, options)
+    steps = steps_of(final, state.accepted, last_rows, baseline, after, errors, ratio, options)
     gains = {a.placement.label: state.gain_of(a) for a in state.accepted}
     rejected = {label: r for label, r in state.rejected.items() if label not in gains}
     reasons = {label: r.reason for label, r in rejected.items()}

@@ -191,8 +191,8 @@ class Step:
         where none is, and for effects of the library.
     errors : dict
         ``rms_train``, ``rms_test``, ``rms_test_moving``, ``rms_cv``: (n,) errors of the model with
-        the steps up to this one, N·m; None where they do not exist. Those of the last step are
-        the errors of the final fit.
+        the steps up to this one, N·m, with the weights of the final fit; None where they do not
+        exist. Those of the last step are the errors of the final fit.
     rival_pairs : tuple of (Rival, Rival)
         Effects that together would do as well, and that this one replaces.
     motion : MotionGain or None

@@ -33,7 +33,6 @@ from lieid_casadi.errors import LateFrictionWarning
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.least_squares import WEAK
 
-IN_MOTION = ("rms_train", "rms_cv", "rms_test_moving")  # of the errors of a model
 ABSORBED = 1e-6  # part of a column outside the model's span, below which the model imitates it
 
 
@@ -139,6 +138,7 @@ def steps_of(
     rows: Rows,
     first: dict[str, Array | None],
     tested: Comparison | None,
+    errors: Callable[[Fit], dict[str, Array | None]],
     ratio: Array,
     options: DiagnosisOptions,
 ) -> tuple[Step, ...]:
@@ -146,12 +146,13 @@ def steps_of(
 
     ``accepted`` is in the order of the path, ``rows`` are those of the final fit, ``first`` has the
     errors of the first model (see `errors_of`), ``tested`` compares the final fit with the test,
-    and ``ratio`` (n,) is its error over the noise floor. Without its only effect the final model is
-    the first one.
+    ``errors`` gives those of another, and ``ratio`` (n,) is its error over the noise floor. Without
+    its only effect the final model is the first one.
     """
     fit = final.fit
     columns = [final.columns_of([a.placement]) for a in accepted]
-    complete, groups = errors_of(fit, tested), groups_of(accepted)
+    groups, none = groups_of(accepted), np.array([], dtype=np.intp)
+    complete = errors_of(fit, tested)
     steps = []
     for k, found in enumerate(accepted):
         deviations = found.coefficient_deviations(fit)
@@ -160,10 +161,12 @@ def steps_of(
         others = (a.candidate for a in found.replaced)
         replaced = tuple(Rival(c.label, c.name, c.joints, "data") for c in others)
         later = columns[k + 1 :]
-        so_far = final.errors(np.concatenate(later)) if later else complete
-        without, j = first if len(accepted) == 1 else final.errors(columns[k]), found.joint
-        errors = [(without[name], complete[name]) for name in IN_MOTION]
-        fall = Fall(*(None if b is None or a is None else float(b[j] - a[j]) for b, a in errors))
+        so_far = errors(final.without(np.concatenate(later))) if later else complete
+        without, j = first if len(accepted) == 1 else errors(final.without(columns[k])), found.joint
+        train = final.rms_moving(columns[k]) - final.rms_moving(none)
+        both = [(without[name], complete[name]) for name in ("rms_cv", "rms_test_moving")]
+        falls = (None if b is None or a is None else float(b[j] - a[j]) for b, a in both)
+        fall = Fall(float(train[j]), *falls)
         if found.candidate.effect.per_recording:  # the test has another drift
             fall = replace(fall, test=None)
         after, before = (float(fit.rms_cv[j]) + more for more in (0.0, fall.cv or 0.0))

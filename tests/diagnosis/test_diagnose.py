@@ -168,6 +168,49 @@ def test_two_hidden_effects_are_named():
         assert step.fall.cv == pytest.approx(fall, rel=3e-2)
 
 
+def test_errors_of_every_row_are_those_of_a_fit_of_its_model():
+    """Of all samples, as of the first and last model, but for the weights, of the final fit.
+
+    Falls are in motion, which has breaks.
+    """
+    hidden = ("load_friction", 0, 2.0), ("viscous_polynomial", 1, 10.0)
+    t = np.arange(0.0, 25.0, 0.001)
+    swing = np.sin(2.0 * np.pi * t / 5.0)
+    pace, change = 2.0 * np.maximum(swing, 0.0) ** 2, np.gradient(np.maximum(swing, 0.0) ** 2, t)
+    at = np.cumsum(pace) * 0.001
+    recordings = []
+    for seed in (1, 2):
+        q, dq, ddq = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=seed).at(at)
+        motion = q, dq * pace[:, None], ddq * pace[:, None] ** 2 + 2.0 * dq * change[:, None]
+        sensors = plant.demo_sensors(ROBOT)
+        recordings.append(
+            plant.measure_along(arm_with(*hidden), t, *motion, sensors=sensors, seed=seed)
+        )
+    train, test = recordings
+    diagnosis = lieid.diagnose(MODEL, train, test)
+    assert {s.label for s in diagnosis.steps} == {"load_friction:1", "viscous_polynomial:2"}
+
+    def with_effects(*labels):
+        return lieid.Model(ROBOT, ["coulomb", "viscous", "offset", *labels])
+
+    added, processing = [], diagnosis.fit.processing
+    for step in diagnosis.steps:
+        added.append(step.label)
+        fit = lieid.identify(with_effects(*added), train, processing=processing)
+        compared = lieid.compare(fit, test)
+        assert compared.rms[0] > 1.2 * compared.rms_moving[0]  # friction is not known at rest
+        np.testing.assert_allclose(step.errors["rms_train"], fit.rms_train, rtol=5e-2)
+        np.testing.assert_allclose(step.errors["rms_test"], compared.rms, rtol=5e-2)
+        moving = step.errors["rms_test_moving"]
+        assert moving[0] == pytest.approx(compared.rms_moving[0], rel=5e-2)
+        (other,) = {s.label for s in diagnosis.steps} - {step.label}
+        without = lieid.identify(with_effects(other), train, processing=processing)
+        before, after = (
+            lieid.compare(f, train).rms_moving[step.joint] for f in (without, diagnosis.fit)
+        )
+        assert step.fall.train == pytest.approx(before - after, rel=0.2)
+
+
 @pytest.mark.parametrize("seed", [10, 20, 30])
 def test_nothing_hidden_is_sufficient(seed):
     diagnosis = diagnosis_of(seed=seed)
