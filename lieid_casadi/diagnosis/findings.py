@@ -86,7 +86,8 @@ def _statement(steps: Sequence[Step], mode: str) -> str:
 def _signal_text(name: str) -> str:
     """Return ``the velocity of joint 3`` for ``dq3``."""
     what = {
-        "q": "angle", "dq": "velocity", "ddq": "acceleration", "load": "load", "temp": "temperature"
+        "q": "angle", "dq": "velocity", "ddq": "acceleration", "load": "load",
+        "temp": "temperature", "tau": "torque",
     }  # fmt: skip
     letters = name.rstrip("0123456789")
     return f"the {what[letters]} of joint {name[len(letters) :]}"

@@ -8,7 +8,7 @@ products of elementary functions of its signals.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from math import comb
 
@@ -22,7 +22,7 @@ from lieid_casadi.diagnosis.findings import number
 from lieid_casadi.diagnosis.path import Span
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.effects import Effect, Placement
-from lieid_casadi.effects.smooth import Smooth
+from lieid_casadi.effects.smooth import TORQUE, Smooth
 from lieid_casadi.identification.regression.variable_projection import shapes_of_data
 from lieid_casadi.model import Model
 
@@ -32,7 +32,7 @@ PER_JOINT = 2
 DEGREE, ANGLE_DEGREE = 6, 10  # of the polynomials of a signal
 RIDGE = 1e-6  # of a column's square
 FIELDS = {"q": "q", "dq": "dq", "ddq": "ddq", "load": "load", "temp": "temperature"}
-OTHERS = ("q", "dq", "load")  # signals of other joints that are tried
+OTHERS = ("q", "dq", "load")  # signals of other joints that are tried; alone, their torque, too
 DEPENDENT = 1e-9  # of the largest singular value
 LEAST_FOLLOWED = 0.5  # of a residual's square that signals must explain to be stated
 FRICTION_WAVES = 2  # half periods of dry friction that changes with time, in a segment
@@ -56,9 +56,9 @@ def smooth_candidates(
     outside = span.outside(every * np.concatenate(weights)[:, None])
     for joint in sorted({c.joint for c in rows.columns.owners}):
         own_rows, weight = span.joint(joint), weights[joint][:, None]
-        polynomials = dict(_polynomials(rows, joint))
+        polynomials = _polynomials(rows, joint)
         for count in (1, 2):
-            signals = list(combinations(polynomials, count))
+            signals = _choices(polynomials, count)
             scores = np.zeros((len(signals), len(residuals)))
             for k, names in enumerate(signals):
                 columns = _products(names, polynomials) * weight
@@ -80,7 +80,7 @@ def functions_alike(rows: Rows, candidate: Candidate) -> int:
     Functions of the joint's own signals are counted apart from those of other joints' signals.
     """
     names, joint = candidate.effect.option.split("."), candidate.joint
-    every = _signals(rows, joint)
+    every = _signals(rows, joint, torque=len(names) == 1)
     own, whole = (comb(n, len(names)) for n in (sum(j == joint for _, j in every), len(every)))
     return whole - own if any(map(_of_other, names)) else own
 
@@ -94,7 +94,7 @@ def followed_signals(rows: Rows, span: Span, joint: int, spread: Array) -> tuple
     if not len(target):  # a joint that does not move in these recordings
         return ()
     total, weight = max(float(target @ target), 1e-300), rows.weights(spread)[joint][:, None]
-    polynomials = dict(_polynomials(rows, joint))
+    polynomials = _polynomials(rows, joint)
     known: dict[tuple[str, ...], Array] = {(a,): x for a, x in polynomials.items()}
     own = rows.runs[joint].all
     slow = [waves[:, ::2] for waves in slow_functions(rows.times[own], rows.segment_of[own])]
@@ -102,7 +102,7 @@ def followed_signals(rows: Rows, span: Span, joint: int, spread: Array) -> tuple
     if "dq" in polynomials:  # dry friction that changes with time
         few = np.hstack([waves[:, :FRICTION_WAVES] for waves in slow])
         known["t", "dq"] = few * polynomials["dq"][:, :1]
-    known |= {pair: _products(pair, polynomials) for pair in combinations(polynomials, 2)}
+    known |= {pair: _products(pair, polynomials) for pair in _choices(polynomials, 2)}
     # slow errors have fewer independent rows than samples: about one in a second
     seconds = max(len(np.unique(rows.times[rows.runs[joint].all] // 1.0)), 2)
     best: tuple[str, ...] = ()
@@ -146,28 +146,43 @@ def _products(names: Sequence[str], polynomials: Mapping[str, Array]) -> Array:
     return products if letters == ["dq", "dq"] else np.hstack([*modulated, products])
 
 
-def _signals(rows: Rows, joint: int) -> list[tuple[str, int]]:
-    """Return the signals of which a torque on a joint may be a function, and their joints."""
+def _signals(rows: Rows, joint: int, *, torque: bool) -> list[tuple[str, int]]:
+    """Return the signals of which a torque on a joint may be a function, and their joints.
+
+    With ``torque``, that of other joints is one, of which nothing but the torque is a function.
+    """
     own = [(name, joint) for name in FIELDS if name != "temp" or _measured(rows)]
     others = [j for j in range(len(rows.runs)) if j != joint]
-    return own + [(name, j) for j in others for name in OTHERS]
+    return own + [(name, j) for j in others for name in (*OTHERS, *[TORQUE] * torque)]
 
 
-def _polynomials(rows: Rows, joint: int) -> Iterator[tuple[str, Array]]:
-    """Yield the name of each signal as in ``smooth/dq.q5``, and polynomials of it (R_j, k)."""
-    for name, j in _signals(rows, joint):
+def _choices(polynomials: Mapping[str, Array], count: int) -> list[tuple[str, ...]]:
+    """Return the sets of so many signals of which functions are tried."""
+    return list(combinations([a for a in polynomials if count == 1 or TORQUE not in a], count))
+
+
+def _polynomials(rows: Rows, joint: int) -> dict[str, Array]:
+    """Return, by the name of each signal as in ``smooth/dq.q5``, polynomials of it (R_j, k)."""
+    found: dict[str, Array] = {}
+    for name, j in _signals(rows, joint, torque=True):
+        label = name if j == joint else f"{name}{j + 1}"
+        if name == TORQUE:
+            parts = [found[f"{a}{j + 1}"][:, :k] for a, k in (("load", 1), ("dq", 2))
+                     if f"{a}{j + 1}" in found]  # fmt: skip
+            found |= {label: np.hstack(parts)} if len(parts) == 2 else {}
+            continue
         values = _along(rows, joint, FIELDS[name], j)
         low, high = np.percentile(values, [0.5, 99.5]) if len(values) else (0.0, 0.0)
         if high - low < 1e-9:
             continue
-        label = name if j == joint else f"{name}{j + 1}"
         if name == "dq":
             x = np.clip(values / max(abs(low), abs(high)), -1.2, 1.2)
             odd = [x * np.abs(x), x**3] if j == joint else []  # the model has the others
-            yield label, np.column_stack([np.sign(x), x, np.abs(x), *odd])
+            found[label] = np.column_stack([np.sign(x), x, np.abs(x), *odd])
         else:
             x = np.clip(2.0 * (values - low) / (high - low) - 1.0, -1.0, 1.0)
-            yield label, chebvander(x, ANGLE_DEGREE if name == "q" else DEGREE)[:, 1:]
+            found[label] = chebvander(x, ANGLE_DEGREE if name == "q" else DEGREE)[:, 1:]
+    return found
 
 
 def _along(rows: Rows, joint: int, field: str, j: int) -> Array:
@@ -237,9 +252,9 @@ def formula_of(rows: Rows, placement: Placement, own: Indices, values: Array) ->
 def _elementary(rows: Rows, placement: Placement) -> tuple[list[str], Array]:
     """Return elementary functions of the signals of a smooth function, and their products."""
     each = []
-    for part in placement.effect.option.split("."):
-        name = part.rstrip("0123456789")
-        j = int(part[len(name) :]) - 1 if part != name else placement.joint
+    assert isinstance(placement.effect, Smooth)
+    for name, other in placement.effect.parts:
+        j = placement.joint if other is None else other
         x, label = _along(rows, placement.joint, FIELDS[name], j), f"{name}{j + 1}"
         known = {label: x, f"{label}²": x**2, f"{label}³": x**3, f"|{label}|": np.abs(x)}
         if name == "q":

@@ -4,6 +4,8 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain, product
+from math import prod
 
 import casadi as ca
 import numpy as np
@@ -30,6 +32,7 @@ SIGNALS: dict[str, tuple[str, str, float]] = {
     "load": ("load", "N·m", 100.0),
     "temp": ("temperature", "°C", 10.0),
 }
+TORQUE = "tau"  # of another joint: its load and its friction, each in proportion
 FADE = 0.1  # of a range: beyond its ends the function falls to zero over this distance
 SLOW = 0.1  # of the largest speed: knots of a speed are closer below it
 KNOTS, ANGLE_KNOTS = 10, 10  # splines of one signal; torque varies most along a turn
@@ -77,13 +80,15 @@ class Smooth(Effect):
     The signals are part of the name: ``smooth/dq:3``, ``smooth/q.dq:3``, ``smooth/dq.q5:4`` (own
     signals without a number, those of another joint with its number). φ_k are cubic B-splines on a
     few knots (of two signals their products, where a velocity is dry and viscous friction that the
-    other signal modulates), orthonormal over the range of the training data, so that the root of
-    Σ c_k² is the size in N·m. Functions of a velocity may jump where it changes its sign. A
-    constant, and what is linear in the joint's own velocity with its sign, acceleration or load,
-    are left out: `offset`, `viscous`, `coulomb`, `armature` and the inertia describe them. The ends
-    of the range (0.5th and 99.5th percentile) are stored with the fit; beyond them the function
-    keeps its value and falls to zero within a tenth of the range. Nothing is left out of a
-    ``whole`` function, which is for a model whose own parameters are kept.
+    other signal modulates), orthonormal over the range of the training data, so that the root of Σ
+    c_k² is the size in N·m. Of the torque of another joint (``smooth/tau5:4``) they are its load,
+    its dry and its viscous friction, as where a torque sensor feels two joints. Functions of a
+    velocity may jump where it changes its sign. A constant, and what is linear in the joint's own
+    velocity with its sign, acceleration or load, are left out: `offset`, `viscous`, `coulomb`,
+    `armature` and the inertia describe them. The ends of the range (0.5th and 99.5th percentile)
+    are stored with the fit; beyond them the function keeps its value and falls to zero within a
+    tenth of the range. Nothing is left out of a ``whole`` function, which is for a model whose own
+    parameters are kept.
     """
 
     name = "smooth"
@@ -95,7 +100,8 @@ class Smooth(Effect):
         "ddq": "of the acceleration",
         "load": "of τ_load",
         "temp": "of the temperature",
-        "q.dq": "of angle and velocity; any other two signals likewise, as in smooth/dq.q5",
+        "q.dq": "of angle and velocity; any other two signals likewise, as in smooth/dq.q5, or the "
+        "torque of another joint, smooth/tau5: in proportion to its load, dry and viscous friction",
     }
     free_options = True
     candidate = False
@@ -111,12 +117,13 @@ class Smooth(Effect):
 
     def __init__(self, *, option: str = "", whole: bool = False) -> None:
         self.option, self.whole = option or "dq", whole
-        self._signals = _parsed(self.option)
+        self._signals, self._of_torque = _parsed(self.option), self.option.startswith(TORQUE)
         self.formula = f"Σ c_k·φ_k({', '.join(self.option.split('.'))})"
         self._combination = _combination(
             tuple(s.name for s in self._signals),
             () if whole else tuple(s.removed for s in self._signals),
         )
+        count = 3 + whole if self._of_torque else self._combination.shape[1]
         self.coefficients = tuple(
             Coefficient(
                 f"c{k + 1}",
@@ -124,7 +131,7 @@ class Smooth(Effect):
                 meaning=f"of the orthonormal function φ_{k + 1}",
                 prior=within_the_torque,
             )
-            for k in range(self._combination.shape[1])
+            for k in range(count)
         )
         self.shapes = tuple(shape for s in self._signals for shape in _range_of(s))
         used = {SIGNALS[s.name][0] for s in self._signals}
@@ -133,15 +140,25 @@ class Smooth(Effect):
         self.joints = tuple(sorted({s.joint for s in self._signals if s.joint is not None}))
 
     def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:
-        products, inside = [ca.SX(1)], ca.SX(1)
+        names, functions = [signal.name for signal in self._signals], list[list[ca.SX]]()
         for signal in self._signals:
             source = s if signal.joint is None else s.joint(signal.joint)
             value = getattr(source, SIGNALS[signal.name][0])
-            part, within = _place(signal, value, source.sign, shape)
-            own = _basis(signal.name, part, source.sign, [s.name for s in self._signals])
-            products, inside = [a * b for a in products for b in own], inside * within
-        combined = ca.mtimes(ca.SX(ca.DM(self._combination.T)), ca.vertcat(*products))
-        return [inside * column for column in ca.vertsplit(combined)]
+            place, within = _place(signal, value, source.sign, shape)
+            if self._of_torque:
+                own = _part_of_torque(signal.name, place, source.sign)
+            else:
+                own = _basis(signal.name, place, source.sign, names)
+            functions.append([within * function for function in own])
+        if self._of_torque:
+            return [*chain(*functions), ca.SX(1)][: len(self.coefficients)]
+        products = ca.vertcat(*(prod(factors, start=ca.SX(1)) for factors in product(*functions)))
+        return ca.vertsplit(ca.mtimes(ca.SX(ca.DM(self._combination.T)), products))
+
+    @property
+    def parts(self) -> tuple[tuple[str, int | None], ...]:
+        """The signals and their joints (from 0), None for its own; of a torque, load and speed."""
+        return tuple((s.name, s.joint) for s in self._signals)
 
     def size_text(self, parameters: Mapping[str, float]) -> str:
         """Return the RMS of the function over the range of its signals."""
@@ -150,14 +167,17 @@ class Smooth(Effect):
 
 
 def _parsed(option: str) -> tuple[_Signal, ...]:
-    """Return the signals of ``dq``, ``q.dq`` or ``dq.q5``."""
+    """Return the signals of ``dq``, ``q.dq`` or ``dq.q5``; those of ``tau5`` are two."""
+    if torque := re.fullmatch(TORQUE + r"([1-9]\d{0,2})", option):
+        return tuple(_Signal(name, int(torque[1]) - 1) for name in ("load", "dq"))
     found = [re.fullmatch(r"([a-z]+)([1-9]\d{0,2})?", part) for part in option.split(".")]
     signals = [_Signal(m[1], int(m[2]) - 1 if m[2] else None) for m in found if m]
     known = all(s.name in SIGNALS for s in signals) and len(signals) == len(found)
     if not known or len(signals) > 2 or len(set(signals)) < len(signals):
         raise EffectError(
             f"smooth has no option {option!r}; expected one or two of {', '.join(SIGNALS)}, with "
-            "the number of a joint if it is not the effect's own, as in smooth/dq or smooth/dq.q5"
+            "the number of a joint if it is not the effect's own, as in smooth/dq or smooth/dq.q5, "
+            f"or the torque of another joint, as in smooth/{TORQUE}5"
         )
     return tuple(signals)
 
@@ -209,6 +229,12 @@ def _basis(name: str, place: ca.SX, sign: ca.SX, names: Sequence[str]) -> list[c
         return _splines(place, FRICTION_KNOTS)
     alone = ANGLE_KNOTS if name == "q" else KNOTS
     return _splines(place, PAIR_KNOTS if paired else alone)
+
+
+def _part_of_torque(name: str, place: ca.SX, sign: ca.SX) -> list[ca.SX]:
+    """Return a joint's load, or its dry and viscous friction, orthonormal over their ranges."""
+    centred = np.sqrt(3) * (2 * place - 1)
+    return [centred] if name == "load" else [sign, sign * centred]
 
 
 def _splines(place: ca.SX, count: int) -> list[ca.SX]:

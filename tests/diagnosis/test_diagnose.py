@@ -489,16 +489,22 @@ def test_smooth_functions_are_chosen_beside_the_path(monkeypatch):
 
 
 @pytest.mark.parametrize(("joint", "other", "gain"), [(1, 0, 0.1), (0, 1, 0.3)])
-def test_cross_talk_of_torque_sensors_is_a_smooth_function_of_the_other_joints_load(
-    joint, other, gain
-):
+def test_cross_talk_of_torque_sensors_is_a_function_of_the_other_joints_torque(joint, other, gain):
     """The columns of joint 1 alone contain much of joint 2's load: links act on both."""
-    cross_talk = plant.ForeignTorque(joint, lambda s: gain * s.load[..., other])
-    arm = arm_with().with_effects(cross_talk)
-    (step,) = lieid.diagnose(MODEL, run(arm, 1), run(arm, 2)).steps
-    assert step.label == f"smooth/load{other + 1}:{joint + 1}"
-    before = lieid.compare(lieid.identify(MODEL, run(arm, 1)), run(arm, 2)).rms[joint]
+
+    def torque(s):
+        of = arm.friction
+        return gain * (s.load + of.coulomb * s.sign + of.viscous * s.dq + of.offset)[..., other]
+
+    arm = arm_with()
+    sensed = arm.with_effects(plant.ForeignTorque(joint, torque))
+    (step,) = lieid.diagnose(MODEL, run(sensed, 1), run(sensed, 2)).steps
+    assert step.label == f"smooth/tau{other + 1}:{joint + 1}"
+    assert f"depends on the torque of joint {other + 1}" in finding([step], "missing")
+    before = lieid.compare(lieid.identify(MODEL, run(sensed, 1)), run(sensed, 2)).rms[joint]
     assert step.errors["rms_test"][joint] < 0.5 * before
+    (changed,) = lieid.diagnose(lieid.identify(MODEL, run(arm, 1)), run(sensed, 2)).steps
+    assert (changed.label, changed.status) == (step.label, "shape")
 
 
 @pytest.mark.parametrize("joints", [2, 3])
@@ -511,6 +517,7 @@ def test_a_function_pays_for_how_many_functions_are_tried(joints):
     rows = Rows.of(fit, segments, with_candidates=False)
     own, others = ["q", "dq", "ddq", "load"], [f"{x}{joints}" for x in ("q", "dq", "load")]
     others += [f"{x}2" for x in ("q", "dq", "load")] if joints == 3 else []
+    torques = joints - 1  # of other joints, each a signal that stands alone
     pairs = list(combinations(own + others, 2))
     owners = [
         Candidate(Placement(make("armature"), 0), np.zeros((1, 0))),
@@ -521,7 +528,7 @@ def test_a_function_pays_for_how_many_functions_are_tried(joints):
         ),
     ]
     of_joint = sum(set(pair) <= set(own) for pair in pairs)
-    alike = [1, joints - 1, len(own), len(others), of_joint, len(pairs) - of_joint]
+    alike = [1, joints - 1, len(own), len(others) + torques, of_joint, len(pairs) - of_joint]
     rows = rows.with_candidates(owners)
     penalty = search._rules(rows.columns, rows, DiagnosisOptions()).penalty
     cost = rows.columns.parameters * np.log(rows.runs[0].count)

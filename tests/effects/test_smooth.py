@@ -6,16 +6,20 @@ import casadi as ca
 import numpy as np
 import pytest
 from exporters.c_arms import torque_of
+from hypothesis import given
+from hypothesis import strategies as st
 from plant.recordings import recorded as measured
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.effects import make
+from lieid_casadi.effects.effect import EffectSignals
 from lieid_casadi.effects.smooth import Smooth
+from lieid_casadi.errors import EffectError
 from lieid_casadi.recording import Processing
 
 PANDA = lieid.robots.panda()
-KINDS = ("q", "dq", "ddq", "load.dq", "dq.q5", "q5")
+KINDS = ("q", "dq", "ddq", "load.dq", "dq.q5", "q5", "tau5")
 NOISE = 0.05
 OPTIONS = Processing(cutoff=8.0)
 
@@ -132,6 +136,38 @@ def test_functions_are_orthonormal_and_without_what_friction_describes():
     count = range(len(effect.coefficients))
     gram = [[sum(simpson(s[a] * s[b], x=x) for s in sides) / 4.0 for a in count] for b in count]
     np.testing.assert_allclose(gram, np.eye(len(count)), atol=1e-2)
+
+
+@given(st.floats(-40.0, 30.0), st.floats(1.0, 90.0), st.floats(0.1, 5.0))
+def test_parts_of_another_joints_torque_are_in_proportion_to_it_and_orthonormal(low, width, top):
+    """By Gauss and Legendre's rule; the load of a kept model has its mean, too."""
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    load, half = low + width * (nodes + 1.0) / 2.0, top * (nodes + 1.0) / 2.0
+    speed, both = np.append(-half, half), np.append(weights, weights) / 4.0
+    load, speed = (x.ravel() for x in np.meshgrid(load, speed, indexing="ij"))
+    weight = np.outer(weights / 2.0, both).ravel()
+    torque = 0.3 * load + 2.0 * np.sign(speed) + 0.7 * speed
+    v, tau, none = ca.SX.sym("v", 2), ca.SX.sym("tau", 2), ca.SX(2, 1)
+    signals = EffectSignals(none, v, none, ca.sign(v), tau, none, ca.SX(0))
+    for whole in (False, True):
+        effect = Smooth(option="tau2", whole=whole)
+        ranges = dict(zip([s.name for s in effect.shapes], (low, low + width, top), strict=True))
+        columns = effect.columns(signals.of(0), {k: ca.SX(x) for k, x in ranges.items()})
+        function = ca.Function("f", [v, tau], [ca.vertcat(*columns)])
+        one = np.full(len(load), 1.7)  # of the joint itself, on which nothing depends
+        matrix = function(np.vstack([one, speed]), np.vstack([one, load])).full().T
+        np.testing.assert_allclose(
+            (matrix * weight[:, None]).T @ matrix, np.eye(3 + whole), rtol=0, atol=1e-9
+        )
+        target = torque if whole else torque - weight @ torque
+        coefficients = matrix.T @ (weight * target)
+        np.testing.assert_allclose(matrix @ coefficients, target, rtol=0, atol=1e-9 * 100.0)
+
+
+@pytest.mark.parametrize("option", ["tau", "tau0", "tau2.q", "q.tau2", "tau2.tau3"])
+def test_the_torque_of_another_joint_stands_alone(option):
+    with pytest.raises(EffectError, match="the torque of another joint, as in smooth/tau5"):
+        Smooth(option=option)
 
 
 @pytest.mark.parametrize("option", ["dq", "q", "load", "q.load", "dq.load"])
