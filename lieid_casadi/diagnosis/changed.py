@@ -15,7 +15,7 @@ from functools import reduce
 import numpy as np
 
 from lieid_casadi.arrays import Array, Mask
-from lieid_casadi.comparison import compare
+from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.diagnosis.candidates import Candidate, reason_against
 from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations, solved, undetermined
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -72,10 +72,10 @@ def diagnose_changed(
     report("describe the changes", 0.8)
     changes = [c for c in every if c.candidate.of_arm]
     differing = [difference_of(found, c.slot, of_model=True) for c in every if c not in changes]
-    after = _misfit(rows, expected, _left(found, every))
+    after = _moving(found, every, before) / expected
     rest = _rest(found, every)
     ratio = np.nan_to_num(_misfit(rows, expected, rest))
-    steps = _steps(found, changes, expected, ratio > options.largest_error, options)
+    steps = _steps(found, changes, before, ratio > options.largest_error, options)
     weighted = [r * w for r, w in zip(rest, rows.weights(found.spread), strict=True)]
     beside = replace(found.paths.span, residual=np.concatenate(weighted))
     parts = unexplained_parts(
@@ -99,7 +99,7 @@ def diagnose_changed(
         noise_floor=before.noise_floor,
         noise_source=before.noise_source,
         baseline_effects=tuple(fit.model.effects),
-        baseline=_new_errors(first * expected, before.rms),
+        baseline=_errors(before, before.rms_moving),
         expected=expected,
         tried=sum(c.of_arm for c in found.paths.columns.owners),
         absorbed=absorbed,
@@ -251,44 +251,59 @@ def _left(found: Round, changes: Sequence[_Change]) -> list[Array]:
 
 
 def _misfit(rows: Rows, expected: Array, errors: Sequence[Array]) -> Array:
-    """Return the RMS of each joint's errors (R_j,) over that expected (n,); NaN without rows."""
-    weighted = [e * w for e, w in zip(errors, rows.weights(expected), strict=True)]
-    return np.array([np.sqrt(np.mean(own**2)) if len(own) else np.nan for own in weighted])
+    """Return the RMS of each joint's errors (R_j,) over that expected (n,), also at reversals."""
+    return _rms([e * w for e, w in zip(errors, rows.weights(expected), strict=True)])
+
+
+def _rms(errors: Sequence[Array]) -> Array:
+    """Return the RMS of each joint's errors (R_j,); NaN without rows."""
+    return np.array([np.sqrt(np.mean(own**2)) if len(own) else np.nan for own in errors])
 
 
 def _steps(
-    found: Round, changes: Sequence[_Change], expected: Array, over: Mask, options: DiagnosisOptions
+    found: Round,
+    changes: Sequence[_Change],
+    before: Comparison,
+    over: Mask,
+    options: DiagnosisOptions,
 ) -> tuple[Step, ...]:
+    """Return the steps; ``before`` compares the fit, with joints (n,) that stay unexplained."""
     slots = [c.slot.group for c in changes]
     accepted = [Accepted.of(found, c.slot, slots, options) for c in changes]
-
-    def errors(of: Sequence[_Change]) -> Array:
-        return _misfit(found.rows, expected, _left(found, of)) * expected
-
     groups, steps = groups_of(accepted), list[Step]()
     for k, (change, own) in enumerate(zip(changes, accepted, strict=True)):
         without = [*changes[:k], *changes[k + 1 :]]
-        before, after = (float(errors(of)[own.joint]) for of in (without, changes))
+        falls = [float(_moving(found, of, before)[own.joint]) for of in (without, changes)]
         steps.append(
             step_of(
                 own,
                 _numbers(found, change),
-                before=before,
-                after=after,
+                before=falls[0],
+                after=falls[1],
                 unexplained=over,
-                fall=Fall(None, None, before - after),
+                fall=Fall(None, None, falls[0] - falls[1]),
                 torque=found.rows.torque[own.joint],
                 group=groups[k],
                 deviations=change.deviations,
-                errors=_new_errors(errors(changes[: k + 1])),
+                errors=_errors(before, _moving(found, changes[: k + 1], before)),
             )
         )
     return beside_smooth_functions(steps)
 
 
-def _new_errors(moving: Array, every: Array | None = None) -> dict[str, Array | None]:
-    """Return the errors of a model on new recordings, as `Step.errors`."""
-    of_all = moving if every is None else every
+def _moving(found: Round, changes: Sequence[_Change], before: Comparison) -> Array:
+    """Return the errors in motion (n,) with changes, relative to those of the fit as the rows."""
+    with_changes, without = (_rms(_left(found, of)) for of in (changes, ()))
+    return np.asarray(before.rms_moving * with_changes / np.maximum(without, 1e-300))
+
+
+def _errors(before: Comparison, moving: Array) -> dict[str, Array | None]:
+    """Return the errors of a model on new recordings, as `Step.errors`, by those in motion.
+
+    At rest, where friction is undetermined, its error counts as that of the fit.
+    """
+    fallen = (1.0 - before.at_rest) * (before.rms_moving**2 - moving**2)
+    of_all = np.sqrt(np.maximum(before.rms**2 - np.nan_to_num(fallen), 0.0))
     return {"rms_train": None, "rms_test": of_all, "rms_test_moving": moving, "rms_cv": None}
 
 

@@ -168,25 +168,24 @@ def test_two_hidden_effects_are_named():
         assert step.fall.cv == pytest.approx(fall, rel=3e-2)
 
 
+def with_breaks(arm, seed):
+    """Return a recording of motion that pauses for half of the time, where friction is unknown."""
+    t = np.arange(0.0, 25.0, 0.001)
+    pace = 2.0 * np.maximum(np.sin(2.0 * np.pi * t / 5.0), 0.0) ** 2
+    path = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=seed)
+    q, dq, ddq = path.at(np.cumsum(pace) * 0.001)
+    change = np.gradient(pace, t)[:, None]
+    motion = q, dq * pace[:, None], ddq * pace[:, None] ** 2 + dq * change
+    return plant.measure_along(arm, t, *motion, sensors=plant.demo_sensors(ROBOT), seed=seed)
+
+
 def test_errors_of_every_row_are_those_of_a_fit_of_its_model():
     """Of all samples, as of the first and last model, but for the weights, of the final fit.
 
     Falls are in motion, which has breaks.
     """
     hidden = ("load_friction", 0, 2.0), ("viscous_polynomial", 1, 10.0)
-    t = np.arange(0.0, 25.0, 0.001)
-    swing = np.sin(2.0 * np.pi * t / 5.0)
-    pace, change = 2.0 * np.maximum(swing, 0.0) ** 2, np.gradient(np.maximum(swing, 0.0) ** 2, t)
-    at = np.cumsum(pace) * 0.001
-    recordings = []
-    for seed in (1, 2):
-        q, dq, ddq = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=seed).at(at)
-        motion = q, dq * pace[:, None], ddq * pace[:, None] ** 2 + 2.0 * dq * change[:, None]
-        sensors = plant.demo_sensors(ROBOT)
-        recordings.append(
-            plant.measure_along(arm_with(*hidden), t, *motion, sensors=sensors, seed=seed)
-        )
-    train, test = recordings
+    train, test = (with_breaks(arm_with(*hidden), seed) for seed in (1, 2))
     diagnosis = lieid.diagnose(MODEL, train, test)
     assert {s.label for s in diagnosis.steps} == {"load_friction:1", "viscous_polynomial:2"}
 
@@ -209,6 +208,28 @@ def test_errors_of_every_row_are_those_of_a_fit_of_its_model():
             lieid.compare(f, train).rms_moving[step.joint] for f in (without, diagnosis.fit)
         )
         assert step.fall.train == pytest.approx(before - after, rel=0.2)
+
+
+def test_errors_after_a_fit_are_those_of_a_comparison():
+    fit = lieid.identify(MODEL, with_breaks(arm_with(), 1))
+    more = arm_with().with_effects(plant.ForeignTorque(0, lambda s: 1.5 * s.sign[..., 0]))
+    new = with_breaks(more, 2)
+    diagnosis = lieid.diagnose(fit, new)
+    (step,) = diagnosis.steps
+    assert step.label == "coulomb:1"
+    parameters, k = fit.parameters.copy(), [p.label for p in MODEL.columns].index("coulomb.f_c:1")
+    parameters[10 * MODEL.n + k] += step.parameters["f_c"]
+    values = MODEL.base.combination @ parameters
+    before, after = (
+        lieid.compare(f, new) for f in (fit, replace(fit, parameters=parameters, values=values))
+    )
+    assert before.rms[0] < 0.95 * before.rms_moving[0]
+    for errors, compared in ((diagnosis.baseline, before), (step.errors, after)):
+        np.testing.assert_allclose(errors["rms_test"], compared.rms, rtol=5e-2)
+        np.testing.assert_allclose(errors["rms_test_moving"], compared.rms_moving, rtol=1e-6)
+    assert (step.before, step.after) == pytest.approx(
+        (before.rms_moving[0], after.rms_moving[0]), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("seed", [10, 20, 30])
