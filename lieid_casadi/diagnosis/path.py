@@ -275,7 +275,7 @@ class PathState:
             least = LEAST_OWN_PART**2 * np.maximum.reduce(squares.T)
             fine = np.maximum.reduce(diagonal.T) > least
             diagonal += RIDGE * squares
-            values[own] = found = _solutions(gram, products)
+            values[own] = found = np.linalg.solve(gram, products[..., None])[..., 0]
             gains[groups] = np.where(fine, np.einsum("gk,gk->g", found, products), 0.0)
         return gains, values
 
@@ -321,21 +321,6 @@ class PathState:
             products=self.products + lost.T @ of_residual,
             inner=self.inner + self.paths.grams(lost, lost),
         )
-
-
-def _solutions(grams: Array, products: Array) -> Array:
-    """Return the solutions (g, k) of systems (g, k, k); nearly all groups have one or two columns.
-
-    Those are solved by Cramer's rule: a call of LAPACK would take longer than the arithmetic.
-    """
-    k = products.shape[1]
-    if k > 2:
-        return np.asarray(np.linalg.solve(grams, products[..., None])[..., 0])
-    if k == 1:
-        return np.asarray(products / grams[:, 0])
-    (a, b), (c, d) = np.moveaxis(grams, 0, -1)
-    x, y = products.T
-    return np.asarray(np.stack([d * x - b * y, a * y - c * x], axis=1) / (a * d - b * c)[:, None])
 
 
 @dataclass(frozen=True, eq=False)
