@@ -1,4 +1,4 @@
-"""The final model of a diagnosis without single effects, from inner products of its columns.
+"""The final model of a diagnosis without single effects, from triangular factors of its rows.
 
 Effects are left out and the remaining linear parameters fitted again, with the weights of the final
 fit; shape parameters keep their values.
@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lieid_casadi.arrays import Array, Indices
-from lieid_casadi.diagnosis.evidence import solved
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import training_rms
@@ -22,7 +21,7 @@ from lieid_casadi.identification.regression.cross_validation import (
     fold_factors,
 )
 from lieid_casadi.identification.regression.design_matrix import Design, with_priors
-from lieid_casadi.identification.regression.least_squares import Factor, Rows
+from lieid_casadi.identification.regression.least_squares import Factor, combine
 from lieid_casadi.recording import Processed
 
 
@@ -32,12 +31,9 @@ class FinalModel:
 
     fit: Fit
     segments: Sequence[Processed]
-    #: (p + 1, p + 1) of each joint: inner products of columns and torque of its rows in motion
-    train: tuple[Array, ...]
-    #: (p + 1, p + 1): inner products of what is known before any data
-    priors: Array
-    #: (n,): numbers of these rows
-    counts: Array
+    #: of the rows of each joint in motion, and of all, weighted, with what is known before any data
+    joints: Sequence[Factor]
+    whole: Factor
     #: those of the fit's cross-validated error
     folds: tuple[Fold, ...]
 
@@ -46,10 +42,9 @@ class FinalModel:
         """Return the final model of a fit to segments."""
         design = Design(fit.compiled, segments)
         rows = design.rows(fit.shapes, fit.parameters)
-        train, counts = _products(rows)
-        known = with_priors(Factor(np.zeros((1, rows.count + 1)), 0), design).r
+        whole = with_priors(combine(rows.factors, 1.0 / fit.noise), design)
         folds = fold_factors(design, rows, fit.noise, fit.values)
-        return cls(fit, segments, train, known.T @ known, counts, folds)
+        return cls(fit, segments, rows.factors, whole, folds)
 
     def columns_of(self, placements: Sequence[Placement]) -> Indices:
         """Return the columns of placed effects."""
@@ -59,9 +54,10 @@ class FinalModel:
 
     def part_of_torque(self, effect: Placement, joint: int) -> float:
         """Return the RMS torque of an effect on a joint in motion, relative to the measured one."""
-        own, gram = self.columns_of([effect]), self.train[joint]
-        values = self.fit.values[own]
-        return float(np.sqrt(values @ gram[np.ix_(own, own)] @ values / max(gram[-1, -1], 1e-300)))
+        own, r = self.columns_of([effect]), self.joints[joint].r
+        parts = r[:, own] @ self.fit.values[own], r[:, -1]
+        torque, measured = (float(np.linalg.norm(part)) for part in parts)
+        return torque / max(measured, 1e-150)
 
     def fall(self, effect: Placement, joint: int, gone: Sequence[Placement]) -> float:
         """Return by what part an effect lowers the cross-validated error of a joint.
@@ -76,7 +72,7 @@ class FinalModel:
 
     def without(self, columns: Indices) -> Fit:
         """Return the fit without some columns and its errors; the covariance is the final one."""
-        fit, values = self.fit, self._values(columns)
+        fit, values = self.fit, self._estimate(self.whole, columns)
         parameters = np.zeros_like(fit.parameters)
         parameters[fit.model.base.kept] = values
         rms, raw = training_rms(fit.compiled, self.segments, parameters, fit.shapes)
@@ -87,41 +83,16 @@ class FinalModel:
 
     def rms_moving(self, without: Indices) -> Array:
         """Return the training error in motion (n,) without some columns, N·m."""
-        full = np.append(-self._values(without), 1.0)
-        squares = np.maximum(np.einsum("a,jab,b->j", full, np.array(self.train), full), 0.0)
-        unknown = np.full(len(squares), np.nan)
-        mean = np.divide(squares, self.counts, out=unknown, where=self.counts > 0)
-        return np.asarray(np.sqrt(mean))
-
-    def _values(self, without: Indices) -> Array:
-        """Return the values (p,), fitted again, zero for some columns."""
-        values = np.zeros(len(self.fit.values))
-        kept = np.setdiff1d(np.arange(len(values)), without)
-        weights = 1.0 / self.fit.noise**2
-        gram = np.einsum("j,jab->ab", weights, np.array(self.train)) + self.priors
-        values[kept] = solved(gram[np.ix_(kept, kept)], gram[kept, -1])
-        return values
+        values = self._estimate(self.whole, without)
+        return np.sqrt([factor.misfit(values) / max(factor.rows, 1) for factor in self.joints])
 
     def cross_validated(self, without: Indices) -> Array:
         """Return the errors in motion (n,) of held-out blocks without some columns, N·m."""
-        kept = np.setdiff1d(np.arange(len(self.fit.values)), without)
+        return cross_validated_rms(self.folds, lambda factor: self._estimate(factor, without))
 
-        def estimate(factor: Factor) -> Array:
-            found, r = np.zeros(len(self.fit.values)), factor.r
-            found[kept] = np.linalg.lstsq(r[:, kept], r[:, -1], rcond=1e-10)[0]
-            return found
-
-        return cross_validated_rms(self.folds, estimate)
-
-
-def _products(rows: Rows) -> tuple[tuple[Array, ...], Array]:
-    """Return inner products (p + 1, p + 1) and number of rows of each joint."""
-    found, counts = [], []
-    for joint in rows.joints:
-        wide = np.zeros((rows.count + 1, rows.count + 1))
-        own = np.append(joint.columns, rows.count)
-        values = np.column_stack([joint.matrix, joint.torque])
-        wide[np.ix_(own, own)] = values.T @ values
-        found.append(wide)
-        counts.append(len(joint.torque))
-    return tuple(found), np.array(counts, dtype=float)
+    def _estimate(self, factor: Factor, without: Indices) -> Array:
+        """Return the values (p,) by the rows of a factor, zero for some columns."""
+        found, r = np.zeros(len(self.fit.values)), factor.r
+        kept = np.setdiff1d(np.arange(len(found)), without)
+        found[kept] = np.linalg.lstsq(r[:, kept], r[:, -1], rcond=1e-10)[0]
+        return found
