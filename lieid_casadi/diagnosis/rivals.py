@@ -14,6 +14,7 @@ from lieid_casadi.diagnosis.path import PathState
 from lieid_casadi.diagnosis.search import SMOOTH, Round
 from lieid_casadi.diagnosis.smooth_functions import own_signals
 from lieid_casadi.diagnosis.step import Rival
+from lieid_casadi.effects.smooth import Smooth
 
 EXACT = 1e-6  # part of a torque by which exact rivals differ
 LEAST_GAIN = 0.5  # of an effect's gain in its place
@@ -99,9 +100,10 @@ def _same_kind(mine: Candidate, other: Candidate) -> bool:
     """
     if mine.name == other.name and mine.joints == other.joints:
         return mine.name != SMOOTH or mine.label == other.label
-    own = set(own_signals(mine.effect))
-    contains = bool(own) and own <= set(other.effect.option.split("."))
-    return other.name == SMOOTH != mine.name and not contains
+    if mine.name == SMOOTH or not isinstance(other.effect, Smooth):
+        return False
+    own = {(signal, mine.placement.source) for signal in own_signals(mine.effect)}
+    return not (own and own <= set(other.effect.parts))
 
 
 def _blocks(found: Round) -> Indices:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from string import ascii_letters
 
 import numpy as np
 
@@ -249,18 +248,15 @@ def errors_of(fit: Fit, compared: Comparison | None) -> dict[str, Array | None]:
 def beside_smooth_functions(steps: Sequence[Step]) -> tuple[Step, ...]:
     """Return steps, in the order of the path, with the status of those beside smooth functions.
 
-    Beside a smooth function of its joint that was found before it, that lowers the error more than
-    it does, or whose signals are of the joint that causes it, the form of an effect's torque is not
-    known. Another later, smaller one corrects it.
+    Beside a smooth function of its joint that was found before it, or lowers the error more than
+    it does, the form of an effect's torque is not known. Another later, smaller one corrects it.
     """
     found = list[Step]()
     for k, step in enumerate(steps):
         doubts = [
             other for i, other in enumerate(steps)
             if other.status == "shape" and other.joint == step.joint
-            and (i < k or other.before - other.after >= step.before - step.after
-                 or {f"{j + 1}" for j in step.joints[1:]}
-                 & {signal.strip(ascii_letters) for signal in other.depends_on})
+            and (i < k or other.before - other.after >= step.before - step.after)
         ]  # fmt: skip
         if step.status == "named" and doubts:
             rivals = (Rival(doubts[-1].label, SMOOTH, doubts[-1].joints, "data"),)

@@ -25,6 +25,7 @@ from lieid_casadi.diagnosis import (
     evidence,
     gates,
     missing,
+    rivals,
     search,
     smooth_functions,
 )
@@ -449,17 +450,37 @@ def test_an_effect_needs_evidence_together_and_its_name_each(monkeypatch):
         assert dict(without.undecided)[step.label] == known  # more data would decide
 
 
+@pytest.mark.parametrize(
+    ("function", "rival"),
+    [
+        ("tau2", True),
+        ("dq2", True),
+        ("dq.dq2", True),
+        ("dq", False),
+        ("q2", False),
+        ("tau3", False),
+    ],
+)
+def test_functions_of_the_signals_of_its_cause_are_rivals_of_a_coupling(function, rival):
+    coupling, smooth = (
+        Candidate(placed, np.zeros((1, 0)))
+        for placed in (
+            Placement(make("transmission_coupling"), 0, source=1),
+            Placement(make(f"smooth/{function}"), 0),
+        )
+    )
+    assert rivals._same_kind(coupling, smooth) != rival
+    assert not rivals._same_kind(smooth, coupling)
+
+
 def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
     (step,) = lieid.diagnose(MODEL, two_runs(("stribeck", 0, 1.0))[0]).steps
     effect = replace(step, before=3.0, after=1.0)
     shape = replace(step, label="smooth/dq:1", status="shape", before=1.5, after=1.0)
     larger = replace(shape, before=3.5)
-    coupled = replace(effect, label="transmission_coupling:1<2", joints=(0, 1))
-    of_source = replace(shape, label="smooth/load2:1", depends_on=("load2",))
-    of_another = replace(shape, label="smooth/load12:1", depends_on=("load12",))
-    for steps in ((effect, shape), (effect, replace(larger, joint=1)), (coupled, of_another)):
+    for steps in ((effect, shape), (effect, replace(larger, joint=1))):
         assert [s.status for s in beside_smooth_functions(steps)] == ["named", "shape"]
-    for steps in ((effect, larger), (shape, effect), (coupled, of_source)):
+    for steps in ((effect, larger), (shape, effect)):
         assert {s.status for s in beside_smooth_functions(steps)} == {"one_of", "shape"}
     doubtful, _ = beside_smooth_functions([effect, larger])
     assert "; its form is not certain beside the function smooth/dq" in finding(
