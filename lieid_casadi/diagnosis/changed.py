@@ -267,7 +267,7 @@ def _steps(
     over: Mask,
     options: DiagnosisOptions,
 ) -> tuple[Step, ...]:
-    """Return the steps; ``before`` compares the fit, with joints (n,) that stay unexplained."""
+    """Return the steps; ``before`` compares the fit, joints ``over`` (n,) stay unexplained."""
     slots = [c.slot.group for c in changes]
     accepted = [Accepted.of(found, c.slot, slots, options) for c in changes]
     groups, steps = groups_of(accepted), list[Step]()

@@ -149,7 +149,7 @@ def _products(names: Sequence[str], polynomials: Mapping[str, Array]) -> Array:
 def _signals(rows: Rows, joint: int, *, torque: bool) -> list[tuple[str, int]]:
     """Return the signals of which a torque on a joint may be a function, and their joints.
 
-    With ``torque``, that of other joints is one, of which nothing but the torque is a function.
+    With ``torque`` those of other joints are among them, which are no signals of two.
     """
     own = [(name, joint) for name in FIELDS if name != "temp" or _measured(rows)]
     others = [j for j in range(len(rows.runs)) if j != joint]
