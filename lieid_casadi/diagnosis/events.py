@@ -35,8 +35,7 @@ LEAST_TIME = 0.5  # s in all, a shorter rest is a reversal
 
 
 def leave_out_events(
-    fit: Fit,
-    recordings: Sequence[Recording],
+    fit: Fit, recordings: Sequence[Recording]
 ) -> tuple[list[Recording], tuple[Event, ...]]:
     """Return recordings without contact and faults, and these events and joints at rest.
 
@@ -106,17 +105,9 @@ def standstill_events(robot: Robot, segments: Sequence[Processed]) -> tuple[Even
     sentence = (
         f"{joints_text(still).capitalize()} {verb} less than {LEAST_MOTION:g} rad: {consequence}."
     )
-    return (
-        Event(
-            "standstill",
-            Source(name, first.recording.source_hash),
-            float(first.t[0]),
-            float(last.t[-1]),
-            tuple(map(int, np.flatnonzero(still))),
-            0.0,
-            sentence,
-        ),
-    )
+    source, joints = Source(name, first.recording.source_hash), np.flatnonzero(still)
+    start, end = float(first.t[0]), float(last.t[-1])
+    return (Event("standstill", source, start, end, tuple(map(int, joints)), 0.0, sentence),)
 
 
 def with_brief_effects(fit: Fit, recordings: Sequence[Recording], method: Method) -> Fit:

@@ -45,7 +45,7 @@ class Extension:
     before: Fit
     after: Fit
     rms_train: Array
-    rms_test: Array | None
+    rms_test: Array | None = None
     rms_test_moving: Array | None = None
     rms_test_at_rest: Array | None = None
 
@@ -138,17 +138,15 @@ def extend(
     after = identify(larger, train, method=method, processing=fit.processing)
     doubts = [*_doubtful(after, wanted), *_unresolved(after, wanted, train)]
     after = replace(after, warnings=(*after.warnings, *doubts))
-    rms_test = moving = at_rest = None
+    names, errors = ("rms", "rms_moving", "rms_at_rest"), list[Array]()
     if test is not None:
         report("test", 0.8)
         tested = [compare(fit, test) for fit in (before, after)]
-        rms_test = np.array([c.rms for c in tested])
-        moving = np.array([c.rms_moving for c in tested])
-        at_rest = np.array([c.rms_at_rest for c in tested])
+        errors = [np.array([getattr(c, name) for c in tested]) for name in names]
     report("done", 1.0)
     added = tuple(placement.label for placement in wanted)
     rms_train = np.array([before.rms_train, after.rms_train])
-    return Extension(added, before, after, rms_train, rms_test, moving, at_rest)
+    return Extension(added, before, after, rms_train, *errors)
 
 
 def _doubtful(fit: Fit, added: Sequence[Placement]) -> list[LieidWarning]:
@@ -161,22 +159,20 @@ def _doubtful(fit: Fit, added: Sequence[Placement]) -> list[LieidWarning]:
         coefficient = coefficients.get(parameter.label)
         if coefficient is None:
             continue
-        size = f"{parameter.label} = {value:.3g} ± {std:.2g} {parameter.unit}"
         if abs(value) < SIGNIFICANT * std:
-            found.append(
-                BoundWarning(
-                    f"{size} is not significantly different from zero: the effect is probably not "
-                    "present on this joint"
-                )
+            why = (
+                "not significantly different from zero: the effect is probably not present on this "
+                "joint"
             )
         elif coefficient.opposes_motion and value < 0.0:
-            found.append(
-                BoundWarning(
-                    f"{size} is negative, but {coefficient.meaning} is expected to be positive: "
-                    "the effect is probably not present, or another one is missing; lieid diagnose "
-                    "searches for it"
-                )
+            why = (
+                f"negative, but {coefficient.meaning} is expected to be positive: the effect is "
+                "probably not present, or another one is missing; lieid diagnose searches for it"
             )
+        else:
+            continue
+        size = f"{parameter.label} = {value:.3g} ± {std:.2g} {parameter.unit}"
+        found.append(BoundWarning(f"{size} is {why}"))
     return found
 
 

@@ -407,15 +407,12 @@ def late_friction(found: Round, worth: float) -> list[LateFrictionWarning]:
         fall = 1.0 - np.sqrt(max(1.0 - delay**2 * size / total, 0.0))
         if delay > 0.0 and fall > worth:
             late.append(f"joint {j + 1} ({1e3 * delay:.2g} ms)")
-    if not late:
-        return []
-    return [
-        LateFrictionWarning(
-            f"dry friction reverses later than the velocity: {', '.join(late)}. A joint may stick "
-            "for a moment at reversals, or its torque signal may be delayed; only fast changes of "
-            "torque away from reversals distinguish the two"
-        )
-    ]
+    text = (
+        f"dry friction reverses later than the velocity: {', '.join(late)}. A joint may stick for "
+        "a moment at reversals, or its torque signal may be delayed; only fast changes of torque "
+        "away from reversals distinguish the two"
+    )
+    return [LateFrictionWarning(text)] if late else []
 
 
 def other_forms(

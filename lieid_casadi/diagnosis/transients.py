@@ -197,13 +197,11 @@ def _apart(time: Array, stretch: slice) -> Mask:
 
 
 def _event(own: ResidualSignals, scale: Array, stretch: slice) -> Event:
-    joints = tuple(
-        int(j) for j in np.flatnonzero((own.excess / scale)[stretch].max(axis=0) > LEAST)
-    )
+    large = (own.excess / scale)[stretch].max(axis=0) > LEAST
+    joints = tuple(map(int, np.flatnonzero(large)))
     start, end = float(own.time[stretch.start]), float(own.time[stretch.stop - 1])
     peak = float(np.abs(own.transient[stretch][:, joints]).max())
-    segment = own.segment
-    fault = _fault(own, stretch)
+    segment, fault = own.segment, _fault(own, stretch)
     kind: Kind = "fault" if fault else "contact"
     name = segment.recording.name or "recording"
     where = joints_text(j in joints for j in range(len(scale)))
@@ -297,17 +295,9 @@ class ResidualSignals:
         motions = np.where(still, 0.0, dq), np.where(still, 0.0, ddq), load
         relative = [x / np.maximum(np.abs(x).max(axis=0), 1e-9) for x in motions]
         state = np.stack(relative, axis=-1)
-        return cls(
-            segment,
-            segment.filtered_time,
-            error,
-            transient,
-            np.abs(slack),
-            still,
-            state,
-            q / np.maximum(np.ptp(q, axis=0), 1e-9),
-            np.sign(dq),
-        )
+        place, time = q / np.maximum(np.ptp(q, axis=0), 1e-9), segment.filtered_time
+        slack, direction = np.abs(slack), np.sign(dq)
+        return cls(segment, time, error, transient, slack, still, state, place, direction)
 
     @property
     def excess(self) -> Array:
