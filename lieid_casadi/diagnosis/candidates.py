@@ -131,6 +131,18 @@ class Candidate:
         effect = self.effect
         return isinstance(effect, ArmEffect) and not effect.shapes and not effect.linear
 
+    def cell(self, point: int) -> tuple[float, float]:
+        """Return the least and the largest value of a single coefficient at a grid point.
+
+        A filter of half the time constant, twice as large, is more like a delay than filters are.
+        """
+        if not (self.by_estimate and self.of_arm and self.grid.shape[1] == 1):
+            return -np.inf, np.inf
+        here, others = self.grid[point, 0], self.grid[:, 0]
+        below = others[others < here].max(initial=-np.inf)
+        above = others[others > here].min(initial=np.inf)
+        return 0.5 * (here + below), 0.5 * (here + above)
+
     @property
     def of_arm(self) -> bool:
         """Whether it acts in all recordings at all times, as an effect of the arm does."""

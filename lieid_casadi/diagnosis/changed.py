@@ -1,9 +1,10 @@
 """What has changed since a fit: its model is kept, and new recordings are explained by additions.
 
-The search is that for missing effects, with four differences: the fit's parameters may move
-within their uncertainty only (rows of a prior), so that none is taken for a change; the noise is
-that of the fit on held-out data, per independent sample; effects are searched for on joints whose
-error is larger than on other motion; smooth functions contain what is linear in their signals.
+The search is that for missing effects, with five differences: the fit's parameters may move within
+their uncertainty only (rows of a prior), so that none is taken for a change; the noise is that of
+the fit on held-out data, per independent sample; effects are searched for on joints whose error is
+larger than on other motion; columns of delays belong to their coefficients, since no fit follows;
+smooth functions contain what is linear in their signals.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from lieid_casadi.diagnosis.path import PathState
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import Round, residual_beside, search
-from lieid_casadi.diagnosis.smooth_functions import followed_signals
+from lieid_casadi.diagnosis.smooth_functions import CONTAINED, contains, followed_signals
 from lieid_casadi.diagnosis.step import Fall, Step
 from lieid_casadi.diagnosis.steps import (
     Accepted,
@@ -176,6 +177,8 @@ def _reason(
     reason = reason_against(candidate, *_at_best_shape(found, changes, change), found.rows.segments)
     if reason is not None:
         return reason
+    if any(contains(c.candidate, candidate) for c in changes[: changes.index(change)]):
+        return CONTAINED
     others = _fitted(found, [c.slot for c in changes if c is not change])
     if not (_misfit(found.rows, expected, _left(found, others)) > most).any():
         return "without it the error is as expected of the fit"

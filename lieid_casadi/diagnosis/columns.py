@@ -118,6 +118,13 @@ class Columns:
         return np.array(each, dtype=np.intp)
 
     @cached_property
+    def cells(self) -> tuple[Array, Array]:
+        """Least and largest coefficient of each column (m,), see `Candidate.cell`."""
+        cells = [self.candidate(g).cell(int(k)) for g, k in enumerate(self.point)]
+        low, high = np.repeat(np.reshape(cells, (-1, 2)), self.size, axis=0).T
+        return low, high
+
+    @cached_property
     def by_size(self) -> tuple[tuple[Indices, Indices], ...]:
         """The groups of each size, and their columns (g, k)."""
         found = []

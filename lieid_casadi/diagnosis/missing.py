@@ -27,7 +27,7 @@ from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.search import SMOOTH, Round, search
-from lieid_casadi.diagnosis.smooth_functions import followed_signals, own_signals
+from lieid_casadi.diagnosis.smooth_functions import CONTAINED, contains, followed_signals
 from lieid_casadi.diagnosis.steps import (
     Accepted,
     absorbed_and_weak,
@@ -179,7 +179,7 @@ def _offered(state: State, found: Round) -> tuple[State, list[Accepted]]:
     sure = [c for slot, c in candidates.items() if slot.reason(options) is None]
     sure += [a.candidate for a in state.accepted]
     have = {a.placement.label for a in state.accepted}
-    functions = [a.candidate for a in state.accepted if a.candidate.name == SMOOTH]
+    functions = [a.candidate for a in state.accepted]
     rejected, refused = dict(state.rejected), set(state.refused)
     for slot, candidate in candidates.items():
         if not candidate.of_arm:
@@ -188,26 +188,20 @@ def _offered(state: State, found: Round) -> tuple[State, list[Accepted]]:
         reason = slot.reason(options, elsewhere=elsewhere(candidate, sure))
         deviations = slot.evidence.deviations
         weak = reason is not None and slot.fall >= options.worth and deviations > 0.0
-        if any(_contains(function, candidate) for function in functions):
-            reason = "a smooth function of its signals was found before it"
+        if any(contains(function, candidate) for function in functions):
+            reason = CONTAINED
         elif reason is None and label not in have and not state.search.agreed(label, joint, errors):
             reason = "rejected by the user"
             refused.add(label)
         if reason is None:
             new.append(slot)
-            functions += [candidate] if candidate.name == SMOOTH else []
+            functions.append(candidate)
             rejected.pop(label, None)
         else:
             rejected[label] = Rejection(reason, deviations if weak else None)
     groups = [slot.group for slot in new]
     accepted = [Accepted.of(found, slot, groups, options) for slot in new]
     return replace(state, rejected=rejected, refused=frozenset(refused)), accepted
-
-
-def _contains(function: Candidate, other: Candidate) -> bool:
-    """Return whether an effect is a piece of the form of a function of its joint's one signal."""
-    signals = own_signals(other.effect) if "time" not in other.effect.signals else ()
-    return function.joints == other.joints and signals == (function.effect.option,)
 
 
 def _with_set_apart(state: State, found: Round) -> State:

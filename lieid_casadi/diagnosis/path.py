@@ -254,12 +254,14 @@ class PathState:
     products: Array
     inner: Array
 
-    def gains(self, wanted: Mask | None = None) -> tuple[Array, Array]:
+    def gains(self, wanted: Mask | None = None, *, free: bool = False) -> tuple[Array, Array]:
         """Return the fall of the sum of squares (G,) of wanted groups, and coefficients (m,).
 
-        Groups with a column that lies in the span get no gain.
+        Groups with a column that lies in the span get no gain. Beside a kept model, which no fit
+        follows, coefficients stay in the cells of their grid points unless they are ``free``.
         """
         columns, norms = self.paths.columns, self.paths.norms
+        low, high = columns.cells
         gains, values = np.zeros(len(columns.size)), np.zeros(columns.count)
         share = 1.0
         if self.part >= 0 and self.paths.left_out.size:
@@ -276,7 +278,11 @@ class PathState:
             fine = np.maximum.reduce(diagonal.T) > least
             diagonal += RIDGE * squares
             values[own] = found = np.linalg.solve(gram, products[..., None])[..., 0]
-            gains[groups] = np.where(fine, np.einsum("gk,gk->g", found, products), 0.0)
+            gain = np.einsum("gk,gk->g", found, products)
+            beyond = found - np.clip(found, low[own], high[own])
+            if beyond.any() and self.paths.span.of_prior and not free:
+                gain -= np.einsum("gk,gkl,gl->g", beyond, gram, beyond)
+            gains[groups] = np.where(fine, gain, 0.0)
         return gains, values
 
     @property
@@ -396,8 +402,6 @@ def _exchanged(state: PathState, rules: Rules, refused: Mask) -> PathState:
     """Return the state with each group exchanged for the best one in its place, if it is better."""
     own_size = np.zeros(len(rules.usable), dtype=bool)
     for group in state.groups:
-        if len(state.groups) < 2:
-            break
         rest = state.without(group)
         own_size[:] = rules.usable
         own_size[group] = True

@@ -35,7 +35,7 @@ def rivals_of(
     library if a path would choose it in its place.
     """
     paths, columns = found.paths, found.paths.columns
-    gains, values = reduce(PathState.with_group, others, paths.state(-1)).gains()
+    gains, values = reduce(PathState.with_group, others, paths.state(-1)).gains(free=True)
     net = gains - found.penalty
     candidate = columns.candidate(slot.group)
     torque = paths.outside(slot.group) @ slot.values

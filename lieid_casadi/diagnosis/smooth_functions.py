@@ -22,7 +22,7 @@ from lieid_casadi.diagnosis.findings import number
 from lieid_casadi.diagnosis.path import Span
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.effects import Effect, Placement
-from lieid_casadi.effects.smooth import TORQUE, Smooth
+from lieid_casadi.effects.smooth import SIGNALS, TORQUE, Smooth
 from lieid_casadi.identification.regression.variable_projection import shapes_of_data
 from lieid_casadi.model import Model
 
@@ -31,7 +31,8 @@ from lieid_casadi.model import Model
 PER_JOINT = 2
 DEGREE, ANGLE_DEGREE = 6, 10  # of the polynomials of a signal
 RIDGE = 1e-6  # of a column's square
-FIELDS = {"q": "q", "dq": "dq", "ddq": "ddq", "load": "load", "temp": "temperature"}
+FIELDS = {name: field for name, (field, _, _) in SIGNALS.items()}
+CONTAINED = "a smooth function of its signals was found before it"
 OTHERS = ("q", "dq", "load")  # signals of other joints that are tried; alone, their torque, too
 DEPENDENT = 1e-9  # of the largest singular value
 LEAST_FOLLOWED = 0.5  # of a residual's square that signals must explain to be stated
@@ -119,6 +120,13 @@ def own_signals(effect: Effect) -> tuple[str, ...]:
     """Return the signals of its joint that an effect depends on, as smooth functions name them."""
     letters = {field: letter for letter, field in FIELDS.items()} | {"sign": "dq"}
     return tuple(dict.fromkeys(letters[s] for s in effect.signals if s in letters))
+
+
+def contains(function: Candidate, other: Candidate) -> bool:
+    """Return whether an effect is a piece of the form of a function of its joint's one signal."""
+    signals = own_signals(other.effect) if "time" not in other.effect.signals else ()
+    of_same = function.name == Smooth.name != other.name and function.joints == other.joints
+    return of_same and signals == (function.effect.option,)
 
 
 def named_column(signal: str, joint: int) -> str:

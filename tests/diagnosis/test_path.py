@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear
 
 from lieid_casadi.diagnosis import path
 from lieid_casadi.diagnosis.candidates import Candidate
@@ -92,6 +93,29 @@ def test_gains_along_a_path_are_those_of_least_squares(part):
         assert gains[group] == pytest.approx(squares(have) - squares(more), rel=1e-3, abs=1e-6)
         solution = np.linalg.lstsq(more, residual[used])[0][-int(columns.size[group]) :]
         np.testing.assert_allclose(values[columns.of_group(group)], solution, rtol=2e-3, atol=1e-6)
+
+
+def test_a_coefficient_stays_near_the_one_at_which_its_column_was_evaluated():
+    """Of a kept model; the gain is that of bounded least squares, halfway to the neighbours."""
+    random, values = np.random.default_rng(9), np.array([0.0, 0.01, 0.02, 0.04])
+    delay = Candidate(Placement(make("torque_delay"), 0), values[:, None])
+    pieces = [[(k, random.normal(size=(ROWS, 1))) for k in range(4)], []]
+    columns = assemble([delay], [0] * 4, range(4), [1] * 4, pieces, [ROWS, ROWS])
+    halfway = [-np.inf, 0.005, 0.015, 0.03, np.inf]
+    model, prior = [np.ones((ROWS, 1)), np.ones((ROWS, 1))], np.ones((1, 1))
+    for group, size in ((1, 0.004), (1, 0.012), (2, 0.05), (3, 0.5), (0, -0.01)):
+        torque = np.split(size * columns.stacked(group)[:, 0], 2)
+        for kept in (prior, None):
+            span = Span.of(model, torque, kept)
+            state = Paths(span, columns, parts().out).state(-1)
+            column, square = span.outside(columns.stacked(group)), span.residual @ span.residual
+            bounds = (halfway[group], halfway[group + 1]) if kept is not None else (-1.0, 1.0)
+            bounded, free = (
+                square - 2.0 * lsq_linear(column, span.residual, bounds=of).cost
+                for of in (bounds, (-1.0, 1.0))
+            )
+            assert state.gains()[0][group] == pytest.approx(bounded, rel=1e-3, abs=1e-6)
+            assert state.gains(free=True)[0][group] == pytest.approx(free, rel=1e-3, abs=1e-6)
 
 
 @pytest.mark.parametrize("prior", [np.zeros((0, MODEL)), 5.0 * np.eye(MODEL)], ids=["free", "kept"])

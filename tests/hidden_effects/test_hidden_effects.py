@@ -67,6 +67,23 @@ def test_a_delay_is_told_from_a_filter_by_the_fit(size):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [("torque_delay-2x-100", "torque_delay"), ("torque_lowpass-2x-108", "torque_lowpass")],
+)
+def test_a_changed_delay_is_told_from_a_filter_by_consistent_columns(name, label):
+    """A filter of another time constant than the one with which it is multiplied fits better."""
+    (step,) = scored(f"changed-single-{name}")["steps"]
+    assert step["effect"] == label
+
+
+@pytest.mark.slow
+def test_a_ripple_beside_a_function_of_the_angle_is_a_piece_of_its_form():
+    (step,) = scored("changed-foreign-bump-2x-0")["steps"]
+    assert (step["effect"], step["depends_on"]) == ("smooth", ["q6"])
+
+
+@pytest.mark.slow
 def test_a_change_whose_best_shape_is_refused_is_none():
     """Narrower and narrower hysteresis of two joints explains more: it is none."""
     found = scored("changed-single-viscous_polynomial-5x-100")
