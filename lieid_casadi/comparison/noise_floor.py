@@ -95,12 +95,7 @@ def noise_floor(
 
 
 def _independent_of_motion(
-    fit: Fit,
-    segments: Sequence[Processed],
-    rows: Rows,
-    residuals: Sequence[Array],
-    *,
-    unseen: bool,
+    fit: Fit, segments: Sequence[Processed], rows: Rows, residuals: Sequence[Array], *, unseen: bool
 ) -> Array:
     """Return the RMS of what columns of the motion do not explain (n,), N·m.
 
@@ -217,11 +212,7 @@ def _basis(columns: Array) -> Array:
 
 
 def _uncertain_friction(
-    fit: Fit,
-    segments: Sequence[Processed],
-    rows: Rows,
-    residuals: Sequence[Array],
-    noise: Array,
+    fit: Fit, segments: Sequence[Processed], rows: Rows, residuals: Sequence[Array], noise: Array
 ) -> Array:
     """Return the RMS (n,) by which the error beside reversals leaves its course around them, N·m.
 

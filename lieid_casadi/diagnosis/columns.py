@@ -112,9 +112,7 @@ class Columns:
     def common(self) -> Indices:
         """Of each owner that is a drift in one recording, the owner that is it in all; else −1."""
         labels = {c.label: k for k, c in enumerate(self.owners) if c.effect.per_recording}
-        alone = [not c.of_arm for c in self.owners]
-        pairs = zip(self.owners, alone, strict=True)
-        each = [labels.get(c.placement.label, -1) if one else -1 for c, one in pairs]
+        each = [-1 if c.of_arm else labels.get(c.placement.label, -1) for c in self.owners]
         return np.array(each, dtype=np.intp)
 
     @cached_property
@@ -318,11 +316,8 @@ def evaluate(
     Grid points that are in ``store`` are not evaluated again; the others are added to it.
     """
     _evaluate_missing(wanted, signals, runs, store)
-    owner: list[int] = []
-    point: list[int] = []
-    size: list[int] = []
+    owner, point, size, first = list[int](), list[int](), list[int](), 0
     pieces: list[list[tuple[int, Array]]] = [[] for _ in runs]
-    first = 0
     for k, candidate in enumerate(wanted):
         found = store.of(candidate.effect)
         for number, row in enumerate(candidate.grid):
@@ -359,8 +354,7 @@ def _evaluate_missing(
             together.setdefault(f"{new.effect.label} {new.grid.tobytes().hex()}", []).append(new)
     for group in together.values():
         effect, grid = group[0].effect, group[0].grid
-        arm = isinstance(effect, ArmEffect)
-        if arm:
+        if isinstance(effect, ArmEffect):
             columns = _of_arm_effect(group, signals, runs)
         else:
             columns = _of_joint_effect(store.function(effect), group, signals, runs)

@@ -158,9 +158,7 @@ def _selected(steps: Sequence[Step]) -> str:
         evidence = step.evidence
         text = "" if step.rivals or step.status != "one_of" else DOUBTS.get(step.doubt, "")
         return text.format(
-            where=where,
-            gain=evidence.gain_certainty,
-            coefficients=evidence.coefficient_deviations,
+            where=where, gain=evidence.gain_certainty, coefficients=evidence.coefficient_deviations
         )
     text = f"; without single parts of the data it was selected{where} in {100 * selected:.0f} %"
     return text + (f", it or a rival in {100 * together:.0f} %" if together > selected else "")

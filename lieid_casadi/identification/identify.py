@@ -246,10 +246,7 @@ def _with_uncertainty(
 
 
 def _prepared(
-    model: Model,
-    given: Sequence[Recording],
-    processing: Processing | None,
-    report: Progress,
+    model: Model, given: Sequence[Recording], processing: Processing | None, report: Progress
 ) -> tuple[Compiled, tuple[Processed, ...], Array | None, list[LieidWarning]]:
     """Return the compiled model, processed segments, mean temperatures (n,), and warnings."""
     check_recordings(model, given)

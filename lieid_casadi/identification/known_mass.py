@@ -75,10 +75,7 @@ def _stated(
 
 
 def identify_with_known_masses(
-    model: Model,
-    recordings: Sequence[Recording],
-    masses: Mapping[str, float],
-    **options: Any,
+    model: Model, recordings: Sequence[Recording], masses: Mapping[str, float], **options: Any
 ) -> Fit:
     """Fit a model whose drives have an unknown common stiffness K, which known masses determine.
 

@@ -76,12 +76,7 @@ class Robot(RobotDescription):
 
     @classmethod
     def parse_urdf(
-        cls,
-        text: str,
-        *,
-        tip: str | None = None,
-        lock: Sequence[str] = (),
-        origin: str = "URDF",
+        cls, text: str, *, tip: str | None = None, lock: Sequence[str] = (), origin: str = "URDF"
     ) -> Robot:
         """See `from_urdf`; ``text`` is that of the file, ``origin`` is named in errors."""
         return cls._of(read_urdf(text, tip=tip, lock=lock, origin=origin))

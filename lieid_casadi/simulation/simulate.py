@@ -190,11 +190,7 @@ def simulate(
 
 @overload
 def simulate(
-    fit: Fit | Sequence[Fit],
-    *,
-    batch: Batch,
-    under: Input | None = ...,
-    threads: int | None = ...,
+    fit: Fit | Sequence[Fit], *, batch: Batch, under: Input | None = ..., threads: int | None = ...
 ) -> tuple[Array, Array]: ...
 
 

@@ -102,11 +102,7 @@ RETURN = 0.2  # of a link's way beyond its play, made up for in each step
 
 
 def set_valued_forces(
-    free: ca.SX,
-    gain: ca.SX,
-    level: ca.SX,
-    bounds: tuple[ca.SX, ca.SX],
-    start: ca.SX,
+    free: ca.SX, gain: ca.SX, level: ca.SX, bounds: tuple[ca.SX, ca.SX], start: ca.SX
 ) -> ca.SX:
     """Return the forces (n + P,) of dry friction and contact, N·m.
 

@@ -36,10 +36,7 @@ HEADER = "lieid_runtime.h"  # of every export
 
 
 def c_files(
-    fit: Fit,
-    *,
-    prefix: str = "arm",
-    payload: bool = False,
+    fit: Fit, *, prefix: str = "arm", payload: bool = False
 ) -> tuple[dict[str, bytes], list[str]]:
     """Return library, self-test and CMake project by file name, and notes for their users.
 

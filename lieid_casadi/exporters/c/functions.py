@@ -201,11 +201,7 @@ class FunctionBody:
 
 
 def body(
-    matrix: ca.SX,
-    inputs: Mapping[str, FunctionInput],
-    *,
-    to: str,
-    arguments: Sequence[str] = (),
+    matrix: ca.SX, inputs: Mapping[str, FunctionInput], *, to: str, arguments: Sequence[str] = ()
 ) -> FunctionBody:
     """Return the C statements that evaluate a matrix and write it, zeros too, to an array.
 

@@ -184,11 +184,7 @@ def _in_gravity(compiled: Compiled) -> list[Compiled]:
 
 def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> dict[str, Array]:
     """Return the signals that effects depend on along a segment, as keywords of `Compiled`."""
-    signals = {
-        "shapes": shapes,
-        "dead_zone": segment.dead_zone,
-        "time": segment.t - segment.t[0],
-    }
+    signals = {"shapes": shapes, "dead_zone": segment.dead_zone, "time": segment.t - segment.t[0]}
     if load is not None:
         signals["load"] = load
     if segment.temperature is not None:
@@ -199,12 +195,7 @@ def effect_signals(segment: Processed, shapes: Array, load: Array | None) -> dic
 
 
 def model_along(
-    compiled: Compiled,
-    segment: Processed,
-    shapes: Array,
-    parameters: Array,
-    *,
-    fitted: bool = True,
+    compiled: Compiled, segment: Processed, shapes: Array, parameters: Array, *, fitted: bool = True
 ) -> ModelAlongSegment:
     """Return the model along a segment."""
     every = np.zeros(10 * compiled.n + len(compiled.model.columns))
@@ -213,12 +204,7 @@ def model_along(
 
 
 def effects_along(
-    compiled: Compiled,
-    segment: Processed,
-    shapes: Array,
-    parameters: Array,
-    *,
-    fitted: bool = True,
+    compiled: Compiled, segment: Processed, shapes: Array, parameters: Array, *, fitted: bool = True
 ) -> Array:
     """Return the columns of all effects (K, n, m) along a segment."""
     arm = model_along(compiled, segment, shapes, parameters, fitted=fitted)
