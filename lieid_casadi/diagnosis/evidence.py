@@ -84,7 +84,10 @@ def coefficient_deviations(
     as well as ``independent`` stretches of recordings permit (F distribution), and the coefficients
     are the largest of those at ``tried`` independent shapes.
     """
-    square = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values) / len(values)
+    variances, axes = np.linalg.eigh(covariance)
+    # beside a combination that the data do not determine, rounding is as large as small variances
+    certain = np.maximum(variances, DEPENDENT * variances[-1])
+    square = float(np.mean((axes.T @ values) ** 2 / certain))
     tail = float(fdtrc(len(values), max(independent, 1.0), max(square, 0.0)))
     tail = -float(np.expm1(tried * np.log1p(-min(tail, 1.0 - SMALLEST))))
     return float(-ndtri(0.5 * max(tail, SMALLEST_TAIL)))

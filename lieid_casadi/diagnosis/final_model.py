@@ -20,8 +20,8 @@ from lieid_casadi.identification.regression.cross_validation import (
     cross_validated_rms,
     fold_factors,
 )
-from lieid_casadi.identification.regression.design_matrix import Design, with_priors
-from lieid_casadi.identification.regression.least_squares import Factor, combine
+from lieid_casadi.identification.regression.design_matrix import Design, follows_load, with_priors
+from lieid_casadi.identification.regression.least_squares import Factor, Rows, combine
 from lieid_casadi.recording import Processed
 
 
@@ -36,15 +36,23 @@ class FinalModel:
     whole: Factor
     #: those of the fit's cross-validated error
     folds: tuple[Fold, ...]
+    #: at the load of the fit: without a function of the load nothing changes with it
+    at_load: FinalModel | None = None
 
     @classmethod
     def of(cls, fit: Fit, segments: Sequence[Processed]) -> FinalModel:
         """Return the final model of a fit to segments."""
-        design = Design(fit.compiled, segments)
-        rows = design.rows(fit.shapes, fit.parameters)
-        whole = with_priors(combine(rows.factors, 1.0 / fit.noise), design)
-        folds = fold_factors(design, rows, fit.noise, fit.values)
-        return cls(fit, segments, rows.factors, whole, folds)
+        design, at = Design(fit.compiled, segments), (fit.shapes, fit.parameters)
+        found = cls(fit, segments, *_factors(design, design.rows(*at), fit))
+        if not any(follows_load(p.effect) for p in fit.model.placements):
+            return found
+        return cls(fit, segments, *_factors(design, design.linearized(*at), fit), found)
+
+    def _beside(self, without: Indices) -> FinalModel:
+        """Return the equations that hold without some columns."""
+        functions = [p for p in self.fit.model.placements if follows_load(p.effect)]
+        gone = np.isin(without, self.columns_of(functions)).any()
+        return self.at_load if gone and self.at_load is not None else self
 
     def columns_of(self, placements: Sequence[Placement]) -> Indices:
         """Return the columns of placed effects."""
@@ -54,7 +62,7 @@ class FinalModel:
 
     def part_of_torque(self, effect: Placement, joint: int) -> float:
         """Return the RMS torque of an effect on a joint in motion, relative to the measured one."""
-        own, r = self.columns_of([effect]), self.joints[joint].r
+        own, r = self.columns_of([effect]), (self.at_load or self).joints[joint].r
         parts = r[:, own] @ self.fit.values[own], r[:, -1]
         torque, measured = (float(np.linalg.norm(part)) for part in parts)
         return torque / max(measured, 1e-150)
@@ -72,7 +80,7 @@ class FinalModel:
 
     def without(self, columns: Indices) -> Fit:
         """Return the fit without some columns and its errors; the covariance is the final one."""
-        fit, values = self.fit, self._estimate(self.whole, columns)
+        fit, values = self.fit, self._estimate(self._beside(columns).whole, columns)
         parameters = np.zeros_like(fit.parameters)
         parameters[fit.model.base.kept] = values
         rms, raw = training_rms(fit.compiled, self.segments, parameters, fit.shapes)
@@ -83,12 +91,14 @@ class FinalModel:
 
     def rms_moving(self, without: Indices) -> Array:
         """Return the training error in motion (n,) without some columns, N·m."""
-        values = self._estimate(self.whole, without)
-        return np.sqrt([factor.misfit(values) / max(factor.rows, 1) for factor in self.joints])
+        own = self._beside(without)
+        values = self._estimate(own.whole, without)
+        return np.sqrt([factor.misfit(values) / max(factor.rows, 1) for factor in own.joints])
 
     def cross_validated(self, without: Indices) -> Array:
         """Return the errors in motion (n,) of held-out blocks without some columns, N·m."""
-        return cross_validated_rms(self.folds, lambda factor: self._estimate(factor, without))
+        folds = self._beside(without).folds
+        return cross_validated_rms(folds, lambda factor: self._estimate(factor, without))
 
     def _estimate(self, factor: Factor, without: Indices) -> Array:
         """Return the values (p,) by the rows of a factor, zero for some columns."""
@@ -96,3 +106,9 @@ class FinalModel:
         kept = np.setdiff1d(np.arange(len(found)), without)
         found[kept] = np.linalg.lstsq(r[:, kept], r[:, -1], rcond=1e-10)[0]
         return found
+
+
+def _factors(design: Design, rows: Rows, fit: Fit) -> tuple[list[Factor], Factor, tuple[Fold, ...]]:
+    """Return the factors of rows: of each joint, of all, and of the folds."""
+    whole = with_priors(combine(rows.factors, 1.0 / fit.noise), design)
+    return rows.factors, whole, fold_factors(design, rows, fit.noise, fit.values)

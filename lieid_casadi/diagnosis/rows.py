@@ -80,13 +80,13 @@ class Rows:
         candidates are changes of its effects, too.
         """
         design = Design(fit.compiled, segments, known=known)
-        rows = design.rows(fit.shapes, fit.parameters)
+        rows = design.linearized(fit.shapes, fit.parameters)
         runs = _runs(fit, rows, segments) if before is None else before.runs
         slopes = None
         if len(fit.shapes):
             slopes = shape_columns(design, fit.values, fit.shapes, fit.parameters)
         model = _on_runs(rows, runs, _dense(rows, slopes))
-        torque = _on_runs(rows, runs, [joint.torque for joint in rows.joints])
+        torque = _on_runs(rows, runs, [design.torque(j) for j in range(fit.model.n)])
         residual = _on_runs(rows, runs, rows.residuals(fit.values))
         signals = tuple(SegmentSignals.of(fit, s, model_fixed=model_fixed) for s in segments)
         store = ColumnStore() if before is None else before.store.for_another_fit()

@@ -29,7 +29,7 @@ from lieid_casadi.model import Model
 #: Candidates of each joint: functions of its own signals, and of those of other joints; of one
 #: signal, and as many of two.
 PER_JOINT = 2
-DEGREE, ANGLE_DEGREE = 6, 10  # of the polynomials of a signal
+DEGREE, FINE_DEGREE = 6, 10  # of the polynomials of a signal; of angle and load
 RIDGE = 1e-6  # of a column's square
 FIELDS = {name: field for name, (field, _, _) in SIGNALS.items()}
 CONTAINED = "a smooth function of its signals was found before it"
@@ -159,7 +159,8 @@ def _signals(rows: Rows, joint: int, *, torque: bool) -> list[tuple[str, int]]:
 
     With ``torque`` those of other joints are among them, which are no signals of two.
     """
-    own = [(name, joint) for name in FIELDS if name != "temp" or _measured(rows)]
+    warmth = all(s.segment.temperature is not None for s in rows.signals)
+    own = [(name, joint) for name in FIELDS if name != "temp" or warmth]
     others = [j for j in range(len(rows.runs)) if j != joint]
     return own + [(name, j) for j in others for name in (*OTHERS, *[TORQUE] * torque)]
 
@@ -189,7 +190,7 @@ def _polynomials(rows: Rows, joint: int) -> dict[str, Array]:
             found[label] = np.column_stack([np.sign(x), x, np.abs(x), *odd])
         else:
             x = np.clip(2.0 * (values - low) / (high - low) - 1.0, -1.0, 1.0)
-            found[label] = chebvander(x, ANGLE_DEGREE if name == "q" else DEGREE)[:, 1:]
+            found[label] = chebvander(x, FINE_DEGREE if name in ("q", "load") else DEGREE)[:, 1:]
     return found
 
 
@@ -197,10 +198,6 @@ def _along(rows: Rows, joint: int, field: str, j: int) -> Array:
     """Return a signal of joint j on the rows of a joint (R_j,)."""
     values = [s.values[field][s.segment.kept, j] for s in rows.signals]
     return np.asarray(np.concatenate(values)[rows.runs[joint].all])
-
-
-def _measured(rows: Rows) -> bool:
-    return all(s.segment.temperature is not None for s in rows.signals)
 
 
 def _gains(columns: Array, targets: Array, basis: Array) -> Array:

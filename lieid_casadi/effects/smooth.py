@@ -35,7 +35,7 @@ SIGNALS: dict[str, tuple[str, str, float]] = {
 TORQUE = "tau"  # of another joint: its load and its friction, each in proportion
 FADE = 0.1  # of a range: beyond its ends the function falls to zero over this distance
 SLOW = 0.1  # of the largest speed: knots of a speed are closer below it
-KNOTS, ANGLE_KNOTS = 10, 10  # splines of one signal; torque varies most along a turn
+KNOTS, LOAD_KNOTS = 10, 16  # splines of one signal; of the load, at whose zero play is crossed
 ODD_KNOTS, EVEN_KNOTS = 10, 6  # splines of the speed that change sign with the velocity, and others
 PAIR_KNOTS, FRICTION_KNOTS = 5, 8  # splines of each of two signals; of an angle beside a velocity
 GRID, PAIR_GRID = 1000, 40  # points over each of one or two ranges where functions are orthogonal
@@ -227,7 +227,7 @@ def _basis(name: str, place: ca.SX, sign: ca.SX, names: Sequence[str]) -> list[c
         return [*(sign * x for x in odd), *even]
     if name == "q" and "dq" in names:
         return _splines(place, FRICTION_KNOTS)
-    alone = ANGLE_KNOTS if name == "q" else KNOTS
+    alone = LOAD_KNOTS if name == "load" else KNOTS
     return _splines(place, PAIR_KNOTS if paired else alone)
 
 

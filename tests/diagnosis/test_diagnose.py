@@ -387,6 +387,16 @@ def test_noise_exceeds_deviations_of_coefficients_as_often_as_a_normal_number():
     assert known == pytest.approx(3.0)
 
 
+def test_rounding_beside_a_combination_that_is_not_determined_hides_no_coefficient():
+    """Of a spline whose ends the data do not reach; the smallest variance is rounding."""
+    axes = np.linalg.qr(np.random.default_rng(2).normal(size=(4, 4)))[0]
+    covariance = axes * [2e4, 1e-4, 1e-4, -3e-4] @ axes.T
+    assert evidence.coefficient_deviations(axes @ [0.0, 1.0, 1.0, 9.0], covariance, 1e3, 1.0) > 20.0
+    assert (
+        evidence.coefficient_deviations(axes @ [100.0, 0.0, 0.0, 0.0], covariance, 1e3, 1.0) < 1.0
+    )
+
+
 def test_a_ripple_in_noise_is_the_best_of_all_orders_that_were_tried():
     """Of white noise the largest fall at any order exceeds a limit as often as is stated."""
     recording = run(arm_with(), 1)

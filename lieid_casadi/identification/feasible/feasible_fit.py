@@ -228,7 +228,7 @@ def _follow_load(
         if before is not None and has_settled(predicted, before):
             return state, True
         before, given = predicted, steps.next(given, parameters)
-        rows = design.rows(start.shapes, given)
+        rows = design.linearized(start.shapes, given)
         factor = with_priors(stacked(rows, start.weighting.rows), design)
         weighting = replace(start.weighting, factor=factor)
     return state, False

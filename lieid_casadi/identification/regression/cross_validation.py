@@ -82,8 +82,8 @@ def cross_validated_rms(folds: Sequence[Fold], estimate: Estimate) -> Array:
     """Return the RMS (n,) of each joint's held-out rows, N·m; NaN for a joint without rows.
 
     Each fold is predicted with the linear parameters of the others, along directions on which
-    these have little information with those of the whole fit. Weights, load and shape parameters
-    are those of the whole fit.
+    these have little information with those of the whole fit. Weights, shape parameters and the
+    load are those of the whole fit; functions of the load follow its changes (`Design.linearized`).
     """
     squares = sum(fold.squares(estimate(fold.rest)) for fold in folds)
     counts = sum(np.array([factor.rows for factor in fold.held], dtype=float) for fold in folds)

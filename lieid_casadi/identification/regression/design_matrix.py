@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,7 @@ from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.compiled import Compiled
 from lieid_casadi.compiled.batch_evaluation import BaseBlocks
 from lieid_casadi.compiled.compiled_model import Part
-from lieid_casadi.effects import ArmEffect, Placement
+from lieid_casadi.effects import ArmEffect, Effect, Placement
 from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.expressions.effect_function import EffectFunction
 from lieid_casadi.identification.regression.least_squares import Factor, JointRows, Rows, combine
@@ -37,6 +37,7 @@ ColumnKey = tuple[int, int | tuple[str, str | bytes]]
 #: Filtered columns (M,), those of a grid (M, G, c), of one segment. Models of one robot with
 #: different effects share most.
 FilteredColumns = dict[ColumnKey, Array]
+LOAD_STEP = 1e-4  # of the largest torque, for derivatives by the load
 REVERSAL = 0.5  # periods of the cut-off frequency, for which the filter mixes a reversal with rows
 
 
@@ -52,12 +53,20 @@ def varying_columns(model: Model) -> Mask:
     )
 
 
+def is_dry(effect: Effect) -> bool:
+    """Whether a torque is undetermined at rest: it has the sign of the velocity."""
+    return effect.dry or "sign" in effect.signals
+
+
+def follows_load(effect: Effect) -> bool:
+    """Whether a torque is a function of the load that does not change sign with the velocity."""
+    return "load" in effect.signals and not is_dry(effect)
+
+
 def has_dry_friction(model: Model) -> Mask:
     """Mark the joints (n,) with an effect whose torque is undetermined at rest."""
     dry = np.zeros(model.n, dtype=bool)
-    for placement in model.placements:
-        if placement.effect.dry or "sign" in placement.effect.signals:
-            dry[placement.joint] = True
+    dry[[p.joint for p in model.placements if is_dry(p.effect)]] = True
     return dry
 
 
@@ -266,6 +275,33 @@ class Design:
             self._rows, self._constant = rows, []
         return rows
 
+    def linearized(self, shapes: Array, parameters: Array | None) -> Rows:
+        """Return the equations of a step from parameters (10 n + m,), as Gauss and Newton take it.
+
+        A function of a joint's load changes with its links: linear fits at the last load, repeated,
+        may oscillate, or settle at a larger error. Of friction, whose sign changes with the
+        velocity, little of this is left over a motion.
+        """
+        rows, links = self.rows(shapes, parameters), 10 * self.model.n
+        using = [e for e in self.effects if follows_load(e.placement.effect)]
+        if parameters is None or not using or len(parameters) == links:
+            return rows
+        joints, values = list(rows.joints), self.model.base.combination @ parameters
+        for effect in using:
+            j, coefficients = effect.placement.joint, parameters[links:][effect.coefficients]
+            own, plain = joints[j], rows.joints[j]
+            step = LOAD_STEP * max(float(np.abs(plain.torque).max(initial=0.0)), LOAD_STEP)
+            grid, both = shapes[effect.shapes][None], (-step, step)
+            less, more = (
+                self.joint_columns([effect], grid, parameters, beyond=x)[0][:, 0] for x in both
+            )
+            slope = (more - less) @ coefficients[effect.kept] / (2.0 * step)
+            of_links = self.model.base.kept[plain.columns] < links
+            moved = slope[:, None] * np.where(of_links, plain.matrix, 0.0)
+            torque = own.torque + moved @ values[plain.columns]
+            joints[j] = replace(own, matrix=own.matrix + moved, torque=torque)
+        return Rows(joints, rows.count, rows.segments)
+
     def _joint_rows(self, j: int, varying: Array | None) -> JointRows:
         active = self._active[j]
         moving = np.isin(active, self.varying)
@@ -274,8 +310,11 @@ class Design:
         if varying is not None:
             matrix[:, moving] = varying[:, np.isin(self.varying, active)]
         used = np.concatenate([use[:, j] for use in self._use])
-        torque = self.on_joint(j, [x[:, j] for x in self._torque])
-        return JointRows(active, matrix, torque, np.flatnonzero(used))
+        return JointRows(active, matrix, self.torque(j), np.flatnonzero(used))
+
+    def torque(self, joint: int) -> Array:
+        """Return the measured torque (R,) on the rows of a joint, filtered, N·m."""
+        return self.on_joint(joint, [x[:, joint] for x in self._torque])
 
     def varying_rows(self, shapes: Array, link_parameters: Array | None) -> list[Array]:
         """Return the varying columns per joint (R, v), with the rows of `rows`."""
@@ -323,14 +362,23 @@ class Design:
         return own.tobytes(), None if load is None else load.tobytes()
 
     def joint_columns(
-        self, alike: Sequence[VaryingEffect], grid: Array, links: Array | None
+        self,
+        alike: Sequence[VaryingEffect],
+        grid: Array,
+        links: Array | None,
+        *,
+        beyond: float = 0.0,
     ) -> list[Array]:
         """Return the columns (R, G, c) of one effect on some joints at values of its shapes.
 
-        The grid is (G, s), or (P, G, s) with other values on each joint.
+        The grid is (G, s), or (P, G, s) with other values on each joint. The load of these joints
+        is larger by what is ``beyond`` that of the links, N·m.
         """
         function, placements = self._function(alike[0]), [e.placement for e in alike]
         signals = self._signals_at(links if alike[0].uses_load else None)
+        if beyond:
+            added = beyond * np.isin(np.arange(self.model.n), [p.joint for p in placements])
+            signals = [s | {"load": s["load"] + added} for s in signals]
         parts = [
             filtered_columns(function, segment, own, placements, grid)
             for segment, own in zip(self.segments, signals, strict=True)

@@ -123,13 +123,10 @@ class _Search:
 
 
 def _state(
-    design: Design,
-    estimator: Callable[[Rows], Weighting],
-    shapes: Array,
-    links: Array | None,
+    design: Design, estimator: Callable[[Rows], Weighting], shapes: Array, links: Array | None
 ) -> FitState:
     """Return the linear fit at given shapes and load."""
-    rows = design.rows(shapes, links)
+    rows = design.linearized(shapes, links)
     weighting = estimator(rows)
     if estimator is not ols:  # whose rows are not in units of the noise
         weighting = replace(weighting, factor=with_priors(weighting.factor, design))
