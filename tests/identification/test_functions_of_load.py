@@ -63,7 +63,7 @@ def test_a_step_at_the_load_s_zero_does_not_make_the_fit_oscillate(motion):
 
 
 def test_standard_deviations_of_links_beside_a_function_of_their_load(motion):
-    """They are those of fits to new noise, within what thirty fits tell."""
+    """They are the scatter of thirty fits to new noise."""
     fits = [fitted(with_torque(motion, wave, seed), f"{PLAIN},smooth/load:1") for seed in range(30)]
     links = [k for k, p in enumerate(fits[0].model.base_columns) if "." not in p.name]
     assert len(links) == 6
