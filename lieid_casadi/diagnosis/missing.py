@@ -179,7 +179,7 @@ def _offered(state: State, found: Round) -> tuple[State, list[Accepted]]:
     sure = [c for slot, c in candidates.items() if slot.reason(options) is None]
     sure += [a.candidate for a in state.accepted]
     have = {a.placement.label for a in state.accepted}
-    functions = [a.candidate for a in state.accepted]
+    earlier = [a.candidate for a in state.accepted]
     rejected, refused = dict(state.rejected), set(state.refused)
     for slot, candidate in candidates.items():
         if not candidate.of_arm:
@@ -188,14 +188,14 @@ def _offered(state: State, found: Round) -> tuple[State, list[Accepted]]:
         reason = slot.reason(options, elsewhere=elsewhere(candidate, sure))
         deviations = slot.evidence.deviations
         weak = reason is not None and slot.fall >= options.worth and deviations > 0.0
-        if any(contains(function, candidate) for function in functions):
+        if any(contains(other, candidate) for other in earlier):
             reason = CONTAINED
         elif reason is None and label not in have and not state.search.agreed(label, joint, errors):
             reason = "rejected by the user"
             refused.add(label)
         if reason is None:
             new.append(slot)
-            functions.append(candidate)
+            earlier.append(candidate)
             rejected.pop(label, None)
         else:
             rejected[label] = Rejection(reason, deviations if weak else None)
