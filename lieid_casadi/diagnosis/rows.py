@@ -174,9 +174,8 @@ class Rows:
 
     def part(self, recording: int | None, course: Course | None = None) -> RowPart:
         """Return one recording, or each of them (None), with a change in its course or whole."""
-        factors = np.ones((len(self.clock), 1, 1))
-        if course is not None:
-            factors = course.factors(self.clock)
+        whole = np.ones((len(self.clock), 1, 1))
+        factors = whole if course is None else course.factors(self.clock)
         if recording is not None:
             factors = factors * (self._recordings == recording)[:, None, None]
         return RowPart(recording, course, [factors[run.all] for run in self.runs])
@@ -200,7 +199,9 @@ class Rows:
             if kind == "wave":
                 if length * FASTEST <= 1.0:  # less than a whole wave resembles a drift
                     continue
-                at = length / np.linspace(1.0, min(WAVES / 2.0, FASTEST * length), count)
+                own = [self.clock[self._recordings == r] for r in (whole if k is None else [k])]
+                fastest = max(2.0 / WAVES * min(map(np.ptp, own)), 1.0 / FASTEST)
+                at = 1.0 / np.linspace(1.0 / length, 1.0 / fastest, count)
             found.append(self.part(k, Course(kind, at)))
         return found
 

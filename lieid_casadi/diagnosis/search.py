@@ -43,7 +43,7 @@ COURSES: tuple[tuple[tuple[str, ...], CourseKind, int], ...] = (
     ((Coulomb.name, Offset.name), "later", 20),
     ((Offset.name,), "wave", 9),
 )
-FINER = 19  # instants between the neighbours of one
+FINER = 19  # instants or periods between the neighbours of one
 LEAST_CHANGE = 5.0  # size of a change with time in standard deviations, for a path
 #: Certainty of a change, in that of a name. Held-out parts are between others, so that slow noise
 #: of short recordings is predicted, too: waves in noise that is correlated over 1 s reach 5.8
@@ -127,7 +127,7 @@ def search(
             own_noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
         dependence = _dependence(paths.columns, own_noise, independent=noise is not None)
         folds, slots, functions = _judged(paths, rows, scale, dependence, options, beside_friction)
-        finer = _finer_instants(rows, slots) if coarse and not functions else []
+        finer = _finer_courses(rows, slots) if coarse and not functions else []
         if finer:
             rows, coarse = replace(rows, columns=rows.columns.joined(finer)), False
             continue
@@ -262,18 +262,18 @@ def _with_changes(
     return replace(rows, columns=columns.joined(changes))
 
 
-def _finer_instants(rows: Rows, slots: Sequence[Slot]) -> list[Columns]:
-    """Return the columns of a path's changes at instants around those that they have.
+def _finer_courses(rows: Rows, slots: Sequence[Slot]) -> list[Columns]:
+    """Return the columns of a path's changes at instants, or with periods, around their own.
 
     A large change that is stated a moment early or late leaves an error that others imitate.
     """
     finer = list[Columns]()
     for slot in slots:
         found, k = rows.columns.candidate(slot.group), int(rows.columns.point[slot.group])
-        if found.course is not None and found.course.kind == "later":
+        if found.course is not None:
             near = found.course.at[max(k - 1, 0) : k + 2]
             at = np.linspace(near[0], near[-1], FINER)
-            part = rows.part(found.recording, Course("later", at))
+            part = rows.part(found.recording, Course(found.course.kind, at))
             alone = Candidate(found.placement, np.zeros((1, 0)))
             finer.append(rows.with_candidates([alone]).columns.only_in([part]))
     return finer

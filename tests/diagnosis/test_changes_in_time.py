@@ -15,12 +15,12 @@ INSTANT = 8.3  # s
 PERIOD, AMPLITUDE = 9.0, 0.3  # s, N·m
 
 
-def measured(torque=None, *, joint=1, seed=1, name="a.csv"):
+def measured(torque=None, *, joint=1, seed=1, name="a.csv", **series):
     """Return 20 s of an arm with a further torque on one joint."""
     arm = plant.demo_arm(ROBOT, hidden=None)
     if torque is not None:
         arm = arm.with_effects(plant.ForeignTorque(joint, function=torque))
-    return recorded(arm, seed, **SERIES, name=name)
+    return recorded(arm, seed, **SERIES | series, name=name)
 
 
 def more_friction(size):
@@ -78,10 +78,21 @@ def test_a_torque_that_oscillates_with_time_is_stated_with_period_and_size():
     assert not diagnosis.steps
     (found,) = diagnosis.differing
     assert (found.label, found.since) == ("offset:1", None)
-    assert found.period == pytest.approx(PERIOD, rel=0.1)
-    assert found.parameters["f_b"] == pytest.approx(AMPLITUDE, rel=0.2)
+    assert found.period == pytest.approx(PERIOD, rel=0.02)
+    assert found.parameters["f_b"] == pytest.approx(AMPLITUDE, rel=0.1)
     assert [(part.joint, part.depends_on) for part in diagnosis.unexplained] == [(0, ("t",))]
     assert "oscillates with time" in diagnosis.sentence
+
+
+def test_a_slow_wave_is_one_in_short_and_long_recordings():
+    """In the long one it has more than the five half waves of the slowest."""
+    train = [measured(wave, seed=1, seconds=18.0), measured(wave, seed=2, seconds=36.0)]
+    diagnosis = lieid.diagnose(MODEL, train)
+    assert not diagnosis.steps
+    (found,) = diagnosis.differing
+    assert (found.label, found.recording) == ("offset:2", "each recording")
+    assert found.period == pytest.approx(PERIOD, rel=0.02)
+    assert found.parameters["f_b"] == pytest.approx(AMPLITUDE, rel=0.1)
 
 
 def test_warming_up_is_no_sudden_change():
