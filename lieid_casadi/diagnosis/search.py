@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from itertools import accumulate
@@ -126,15 +126,16 @@ def search(
             rest = residual_beside(paths, first, rows, scale)
             own_noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
         dependence = _dependence(paths.columns, own_noise, independent=noise is not None)
-        folds, slots, functions = _judged(paths, rows, scale, dependence, options, beside_friction)
-        finer = _finer_courses(rows, slots) if coarse and not functions else []
+        rules = _rules(paths.columns, rows, options, dependence)
+        ways = [forward(paths, -1, rules, smooth_first=j) for j in ((), range(len(rows.runs)))]
+        finer = _finer_courses(rows, dict.fromkeys(sum(ways, ()))) if coarse else []
         if finer:
             rows, coarse = replace(rows, columns=rows.columns.joined(finer)), False
             continue
+        folds, slots, functions = _judged(paths, rows, scale, dependence, options, beside_friction)
         leaving = _leaving(rows.columns, slots, functions, options)
         if not leaving:
-            penalty = _rules(paths.columns, rows, options, dependence).penalty
-            return Round(rows, scale, folds, paths, slots, penalty)
+            return Round(rows, scale, folds, paths, slots, rules.penalty)
         kept = ~np.isin(rows.columns.owner, sorted(leaving))
         rows = replace(rows, columns=rows.columns.of_groups(np.flatnonzero(kept)))
 
@@ -262,14 +263,14 @@ def _with_changes(
     return replace(rows, columns=columns.joined(changes))
 
 
-def _finer_courses(rows: Rows, slots: Sequence[Slot]) -> list[Columns]:
-    """Return the columns of a path's changes at instants, or with periods, around their own.
+def _finer_courses(rows: Rows, groups: Iterable[int]) -> list[Columns]:
+    """Return the columns of changes in paths, at instants or with periods around their own.
 
     A large change that is stated a moment early or late leaves an error that others imitate.
     """
     finer = list[Columns]()
-    for slot in slots:
-        found, k = rows.columns.candidate(slot.group), int(rows.columns.point[slot.group])
+    for group in groups:
+        found, k = rows.columns.candidate(group), int(rows.columns.point[group])
         if found.course is not None:
             near = found.course.at[max(k - 1, 0) : k + 2]
             at = np.linspace(near[0], near[-1], FINER)
@@ -393,8 +394,7 @@ def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:
             if owner in seen:
                 continue
             seen.add(owner)
-            effect = columns.owners[owner].effect
-            if effect.shapes:
+            if columns.owners[owner].effect.shapes:
                 points.setdefault(owner, set()).add(int(columns.point[g]))
             elif columns.owners[owner].by_estimate:
                 more.setdefault(owner, []).append(values[columns.of_group(g)])
