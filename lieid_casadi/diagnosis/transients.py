@@ -390,7 +390,7 @@ def returns_with_position(own: ResidualSignals, stretch: slice, joint: int) -> b
     near = _near(own.place[:, [joint]], SAME_PLACE, own.excess[:, joint], stretch)
     for signed in (error, error * own.direction[:, joint]):
         visits, similar = _visits(own, stretch, joint, near, signed)
-        if visits >= LEAST_VISITS and 2 * similar > visits:
+        if 2 * similar > visits:
             return True
     return False
 

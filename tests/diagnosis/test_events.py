@@ -10,7 +10,7 @@ from plant.recordings import recorded
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.diagnosis.events import held_joints, leave_out_events
-from lieid_casadi.diagnosis.transients import ResidualSignals
+from lieid_casadi.diagnosis.transients import ResidualSignals, returns_with_position
 from lieid_casadi.recording import process
 
 ROBOT = lieid.robots.panda()
@@ -171,6 +171,23 @@ def test_torque_of_the_columns_is_no_event_where_the_fit_has_no_error(fit):
 def test_an_error_at_one_position_is_no_contact(fit, torque):
     run = recording(duration=30.0, seed=3, foreign=torque)
     assert leave_out_events(fit, [run])[1] == ()
+
+
+@pytest.mark.parametrize("returns", [True, False])
+def test_an_error_returns_with_a_position_that_is_passed_once_more(fit, returns):
+    """As at an end stop, which few motions reach often."""
+    own = ResidualSignals.of(fit, process([recording(6.0)], fit.processing)[0])
+    there_and_back = 1.0 - np.abs(np.linspace(-1.0, 1.0, len(own.time)))
+    error = 5.0 * np.exp(-(((there_and_back - 0.5) / 0.02) ** 2))
+    (first,) = np.nonzero(error[: len(error) // 2] > 0.5)
+    if not returns:
+        error[len(error) // 2 :] = 0.0
+    alone = np.zeros_like(own.error), np.zeros_like(own.place)
+    for values, of_joint in zip(alone, (error, there_and_back), strict=True):
+        values[:, 5] = of_joint
+    nothing = {"slack": np.zeros_like(own.slack), "still": np.zeros_like(own.still)}
+    own = replace(own, error=alone[0], transient=alone[0], place=alone[1], **nothing)
+    assert returns_with_position(own, slice(first[0], first[-1] + 1), 5) is returns
 
 
 def test_effects_on_joints_that_hardly_move_are_no_candidates(fit):
