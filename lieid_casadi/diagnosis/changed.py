@@ -60,8 +60,7 @@ def diagnose_changed(
     expected = np.array([each.spread for each in noise])
     rows = Rows.of(fit, segments, model_fixed=True)
     rises = np.array([each.motion_ratio for each in noise])
-    first = _misfit(rows, expected, rows.residual)
-    raised = first > options.least_misfit * rises
+    raised = _misfit(rows, expected, rows.residual) > options.least_misfit * rises
     found = search(
         rows,
         options,
@@ -241,8 +240,7 @@ def _falls(found: Round, expected: Array, changes: Sequence[_Change], one: _Chan
 
 def _rest(found: Round, changes: Sequence[_Change]) -> list[Array]:
     """Return what changes and parameters within their uncertainty leave of residuals, N·m."""
-    groups = [c.slot.group for c in changes]
-    return residual_beside(found.paths, groups, found.rows, found.spread)
+    return residual_beside(found.paths, [c.slot.group for c in changes], found.rows, found.spread)
 
 
 def _left(found: Round, changes: Sequence[_Change]) -> list[Array]:

@@ -321,8 +321,7 @@ def evaluate(
     for k, candidate in enumerate(wanted):
         found = store.of(candidate.effect)
         for number, row in enumerate(candidate.grid):
-            columns = found[_key(candidate, row)]
-            for joint, matrix in columns.items():
+            for joint, matrix in found[_key(candidate, row)].items():
                 pieces[joint].append((first, matrix))
             owner.append(k)
             point.append(number)

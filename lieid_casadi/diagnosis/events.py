@@ -44,8 +44,7 @@ def leave_out_events(
     check_recordings(fit.model, recordings)
     events = transient_events(fit, recordings)
     kept = without_events(recordings, events)
-    segments = process(kept, fit.processing)
-    still = standstill_events(fit.model.robot, segments)
+    still = standstill_events(fit.model.robot, process(kept, fit.processing))
     return kept, (*events, *still)
 
 

@@ -55,8 +55,7 @@ def rivals_of(
             continue
         part = part_of(torque, paths.outside(group))
         kind = "exact" if part > 1.0 - EXACT**2 else "data"
-        stated = Rival(rival.label, rival.name, rival.joints, kind)
-        rivals.append((worse, int(group), stated))
+        rivals.append((worse, int(group), Rival(rival.label, rival.name, rival.joints, kind)))
     return [(group, rival) for _, group, rival in sorted(rivals, key=lambda each: each[0])]
 
 

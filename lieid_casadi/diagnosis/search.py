@@ -132,7 +132,8 @@ def search(
         if finer:
             rows, coarse = replace(rows, columns=rows.columns.joined(finer)), False
             continue
-        folds, slots, functions = _judged(paths, rows, scale, dependence, options, beside_friction)
+        chosen = paths, ways, rules, dependence
+        folds, slots, functions = _judged(*chosen, rows, scale, options, beside_friction)
         leaving = _leaving(rows.columns, slots, functions, options)
         if not leaving:
             return Round(rows, scale, folds, paths, slots, rules.penalty)
@@ -142,25 +143,26 @@ def search(
 
 def _judged(
     paths: Paths,
+    chosen: Sequence[tuple[int, ...]],
+    rules: Rules,
+    dependence: Array,
     rows: Rows,
     spread: Array,
-    dependence: Array,
     options: DiagnosisOptions,
     beside_friction: bool,
 ) -> tuple[Folds, tuple[Slot, ...], list[Slot]]:
     """Return the held-out parts, and the effects of the path on all rows as these judge it.
 
+    Of the two paths ``chosen`` on all rows, smooth functions come first in the second one.
     Smooth functions come first on the joints where the error of the held-out parts is lower so, or
     where only so anything lowers it: many effects of the library together resemble a torque that
     none of them describes. Where fewer effects are supported so, any lower error is enough; a
     smooth function that the library needs as well counts as one. Beside them the functions of a
     kept model that raise the held-out error, with which no further path is examined.
     """
-    rules = _rules(paths.columns, rows, options, dependence)
-    every = range(len(rows.runs))
-    whole, other = (forward(paths, -1, rules, smooth_first=first) for first in ((), every))
+    whole, other = chosen
     folds = folds_of(rows, residual_beside(paths, whole, rows, spread), options.folds)
-    kept = _promising(paths, (whole, other), rules)
+    kept = _promising(paths, chosen, rules)
     few = Paths(paths.span, paths.columns.of_groups(kept), folds.out)
     of_few = _rules(few.columns, rows, options, dependence[kept])
     kinds = {kind for c in rows.columns.owners for kind in c.effect.like_uncertain_friction}

@@ -228,8 +228,7 @@ def _fault(own: ResidualSignals, stretch: slice) -> str:
     run = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]]))).max()
     if run >= FEWEST_FROZEN:
         return f"{run} samples have the same torque on every joint, a fault of the recorder"
-    middle = np.median(tau, axis=0)
-    away = np.abs(tau - middle)
+    away = np.abs(tau - np.median(tau, axis=0))
     far = np.any(away > 0.5 * away.max(axis=0) + 1e-12, axis=1) & np.any(
         away > 10.0 * np.median(away, axis=0) + 1e-9, axis=1
     )
