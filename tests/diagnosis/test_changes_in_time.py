@@ -85,7 +85,7 @@ def test_a_torque_that_oscillates_with_time_is_stated_with_period_and_size():
 
 
 def test_a_slow_wave_is_one_in_short_and_long_recordings():
-    """In the long one it has more than the five half waves of the slowest."""
+    """It is slower than five half waves in the short one alone."""
     train = [measured(wave, seed=1, seconds=18.0), measured(wave, seed=2, seconds=36.0)]
     diagnosis = lieid.diagnose(MODEL, train)
     assert not diagnosis.steps
