@@ -277,11 +277,7 @@ class PathState:
             least = LEAST_OWN_PART**2 * np.maximum.reduce(squares.T)
             fine = np.maximum.reduce(diagonal.T) > least
             diagonal += RIDGE * squares
-            if own.shape[1] == 1:  # most groups, for which a solver takes fifty times as long
-                values[own] = products / gram[:, 0]
-            else:
-                values[own] = np.linalg.solve(gram, products[..., None])[..., 0]
-            found = values[own]
+            values[own] = found = np.linalg.solve(gram, products[..., None])[..., 0]
             gain = np.einsum("gk,gk->g", found, products)
             beyond = found - np.clip(found, low[own], high[own])
             if beyond.any() and self.paths.span.of_prior and not free:

@@ -132,8 +132,9 @@ def search(
         if finer:
             rows, coarse = replace(rows, columns=rows.columns.joined(finer)), False
             continue
-        chosen = paths, ways, rules, dependence
-        folds, slots, functions = _judged(*chosen, rows, scale, options, beside_friction)
+        folds, slots, functions = _judged(
+            paths, ways, rules, dependence, rows, scale, options, beside_friction
+        )
         leaving = _leaving(rows.columns, slots, functions, options)
         if not leaving:
             return Round(rows, scale, folds, paths, slots, rules.penalty)
