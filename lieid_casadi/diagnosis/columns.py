@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from lieid_casadi.arrays import Array, Indices
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.diagnosis.candidates import Candidate, Course
 from lieid_casadi.effects import ArmEffect, Effect
 from lieid_casadi.expressions.effect_function import OWN, EffectFunction
@@ -101,6 +101,17 @@ class Columns:
         """Return the indices of a group's columns."""
         first = int(self.start[group])
         return np.arange(first, first + int(self.size[group]))
+
+    @cached_property
+    def reach(self) -> Mask:
+        """Whether each group acts on each joint (n, G)."""
+        n = len(self.joints)
+        acts = [[c.reaches_all or c.joint == j for c in self.owners] for j in range(n)]
+        return np.array(acts, dtype=bool)[:, self.owner]
+
+    def acting_with(self, group: int) -> Mask:
+        """Return which groups (G,) act on a joint that a group acts on."""
+        return np.asarray(self.reach[self.reach[:, group]].any(axis=0))
 
     @cached_property
     def parameters(self) -> Array:

@@ -16,7 +16,6 @@ import numpy as np
 from scipy.special import fdtrc, ndtri
 
 from lieid_casadi.arrays import Array, Indices, Mask
-from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.folds import Folds
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -48,7 +47,7 @@ class Slot:
     instead: tuple[int, ...]
     #: (k,): coefficients beside the whole path
     values: Array
-    #: of an effect on all joints that whose error falls most
+    #: of those on which it acts, that whose error falls most
     joint: int
 
     @property
@@ -161,10 +160,9 @@ def judge(
         squares[k] = held.squares(of_path)
         for e, group in enumerate(whole):
             mine = members[k][group]
-            candidate = columns.candidate(group)
-            joints = range(n) if candidate.reaches_all else [candidate.joint]
+            joints = np.flatnonzero(columns.reach[:, group])
             own = [*joints, n]
-            kinds = friction.keys() & candidate.effect.like_uncertain_friction
+            kinds = friction.keys() & columns.candidate(group).effect.like_uncertain_friction
             beside = [places[kind][j] for kind in kinds for j in joints]
             used = _without_later_functions(path, mine, columns)
             at = steady if "rest" in kinds else None
@@ -185,7 +183,8 @@ def judge(
     for e, group in enumerate(whole):
         own = [columns.owner[group] in columns.owner[list(m[group])] for m in members]
         instead = [g for m in members for g in m[group] if columns.owner[g] != columns.owner[group]]
-        joint = _joint_of(columns.candidate(group), before[e, :n], after[e, :n])
+        fall = 1.0 - after[e, :n] / np.maximum(before[e, :n], 1e-300)
+        joint = int(np.argmax(np.where(columns.reach[:, group], fall, -np.inf)))
         evidence = Evidence(
             tuple(map(float, gains[e])),
             tuple(map(float, expected[e])),
@@ -314,13 +313,6 @@ def solved(gram: Array, products: Array) -> Array:
     sizes, axes = np.linalg.eigh(gram / size / size[:, None])
     seen = sizes > DEPENDENT * max(float(sizes.max(initial=0.0)), 1e-300)
     return np.asarray(axes[:, seen] @ (axes[:, seen].T @ (products / size) / sizes[seen]) / size)
-
-
-def _joint_of(candidate: Candidate, before: Array, after: Array) -> int:
-    """Return the joint of an effect; without one, that whose error falls most."""
-    if candidate.joints:
-        return candidate.joint
-    return int(np.argmax(1.0 - after / np.maximum(before, 1e-300)))
 
 
 def _members(

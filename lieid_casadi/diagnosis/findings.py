@@ -48,8 +48,9 @@ def finding(steps: Sequence[Step], mode: str) -> str:
     error = "held-out error" if mode == "missing" else "error"
     falls = [100 * step.part for step in steps]
     part = f"{_listed([f'{fall:.0f} %' for fall in falls], falls)} of the {error}"
-    if not first.joints:
-        part += f" of joint {first.joint + 1}"
+    if any(step.joint not in step.joints[:1] for step in steps):
+        on = list(dict.fromkeys(str(step.joint + 1) for step in steps))
+        part += f" of joint{'s' * (len(on) > 1)} {join_words(on)}"
     name = first.label.partition(":")[0]
     text = f"{_statement(steps, mode)} ({name}: {'; '.join(_sizes(steps))}; {part})"
     text += _rivals(steps) + _selected(steps) + _motion(steps)

@@ -285,11 +285,6 @@ class PathState:
             gains[groups] = np.where(fine, gain, 0.0)
         return gains, values
 
-    @property
-    def explained(self) -> float:
-        """The sum of squares that the groups of the path explain."""
-        return float(self.residual @ self.residual)
-
     def with_group(self, group: int) -> PathState:
         """Return the state with a further group."""
         own = self.paths.columns.of_group(group)
@@ -354,8 +349,7 @@ def forward(
     compromise of several causes. Effects of the library come before smooth functions, except on the
     joints ``smooth_first``, where they compete from the start.
     """
-    joint = np.array([c.joint for c in paths.columns.owners])[paths.columns.owner]
-    early = ~rules.smooth | np.isin(joint, list(smooth_first))
+    early = ~rules.smooth | paths.columns.reach[list(smooth_first)].any(axis=0)
     state = _grown(paths.state(part), replace(rules, usable=rules.usable & early))
     return _grown(state, replace(rules, usable=rules.usable & rules.smooth)).groups
 

@@ -270,7 +270,7 @@ def evidence_table(d: Diagnosis) -> Table:
 
 
 def _errors(step: Step) -> str:
-    where = "" if step.joints else f" (joint {step.joint + 1})"
+    where = "" if step.joint in step.joints[:1] else f" (joint {step.joint + 1})"
     return f"{figures(step.before)} → {figures(step.after)}{where}"
 
 

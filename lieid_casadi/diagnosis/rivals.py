@@ -7,7 +7,7 @@ from functools import reduce
 
 import numpy as np
 
-from lieid_casadi.arrays import Array, Indices, Mask
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.diagnosis.candidates import Candidate, follows_temperature, reason_against
 from lieid_casadi.diagnosis.evidence import ALIKE, Slot, part_of, solved
 from lieid_casadi.diagnosis.path import PathState
@@ -66,7 +66,8 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
     """
     columns, rows = found.paths.columns, found.rows
     mine = columns.candidate(slot.group)
-    near = _near(found, mine, gains > LEAST_GAIN * gains[slot.group])
+    fine = gains > LEAST_GAIN * gains[slot.group]
+    near = np.flatnonzero(fine & columns.acting_with(slot.group))
     examined, done = list[int](), set[int]()
     for group in map(int, (*slot.instead, *near[np.argsort(-gains[near])])):
         other, owner = columns.candidate(group), int(columns.owner[group])
@@ -82,13 +83,6 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
             if len(examined) == EXAMINED:
                 break
     return examined
-
-
-def _near(found: Round, mine: Candidate, fine: Mask) -> Indices:
-    """Return the groups that act on a joint of an effect."""
-    columns = found.paths.columns
-    acts = [mine.reaches_all or c.reaches_all or c.joint == mine.joint for c in columns.owners]
-    return np.flatnonzero(fine & np.array(acts, dtype=bool)[columns.owner])
 
 
 def _same_kind(mine: Candidate, other: Candidate) -> bool:

@@ -340,11 +340,10 @@ def _rules(
         candidate = columns.candidate(group)
         return reason_against(candidate, columns.shapes(group), values, rows.segments) is None
 
-    own = np.array([max(run.count, 2) for run in rows.runs], dtype=float)
-    count = np.array([own.sum() if c.reaches_all else own[c.joint] for c in columns.owners])
+    count = np.array([max(run.count, 2) for run in rows.runs], dtype=float) @ columns.reach
     forms = np.array([is_form(c.effect) for c in columns.owners], dtype=bool)
     more = np.ones(len(columns.size)) if dependence is None else dependence
-    independent = np.maximum(count[columns.owner] / more, 2.0)
+    independent = np.maximum(count / more, 2.0)
     alike = np.array([_alternatives(rows, c) for c in columns.owners], dtype=float)[columns.owner]
     cost = columns.parameters * np.log(independent) + 2.0 * np.log(alike)
     changing = np.array([c.course is not None for c in columns.owners], dtype=bool)[columns.owner]

@@ -11,6 +11,7 @@ from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import assemble
 from lieid_casadi.diagnosis.evidence import HeldOut, judge
 from lieid_casadi.diagnosis.folds import Folds
+from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
 from lieid_casadi.diagnosis.search import LEAST_SUPPORT
 from lieid_casadi.effects import Placement, make
@@ -264,6 +265,22 @@ def test_a_compromise_of_two_causes_gives_way_to_them():
     span = Span.of(model, np.split(residual, 2))
     paths = Paths(span, columns, np.zeros((0, 2 * ROWS), bool))
     assert set(forward(paths, -1, rules(columns))) == {1, 2}
+
+
+def test_an_effect_of_the_arm_counts_where_the_error_falls_most():
+    """The zero of a joint's position was not added: its own error hardly depends on it."""
+    random = np.random.default_rng(6)
+    own, other = random.normal(size=(2, ROWS, 1))
+    arm = Candidate(Placement(make("encoder_offset"), 0), np.zeros((1, 0)))
+    columns = assemble([arm], [0], [0], [1], [[(0, 0.01 * own)], [(0, other)]], [ROWS, ROWS])
+    residual = [random.normal(size=ROWS), random.normal(size=ROWS) + 2.0 * other[:, 0]]
+    span = Span.of([random.normal(size=(ROWS, MODEL)) for _ in range(2)], residual)
+    held = np.tile([np.arange(ROWS) * 10 // ROWS == k for k in range(10)], 2)
+    folds = Folds(held, held, 0.0, np.array([100, 100]))
+    paths = Paths(span, columns, folds.out)
+    (found,), _ = judge(paths, folds, [0], [[0]] * 10, {}, np.ones(2 * ROWS, dtype=bool))
+    assert (columns.candidate(found.group).joint, found.joint) == (0, 1)
+    assert found.reason(DiagnosisOptions()) is None
 
 
 def test_a_path_ends_where_groups_replace_each_other(monkeypatch):
