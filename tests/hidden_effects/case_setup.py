@@ -30,6 +30,14 @@ LATER = 100  # draws from here on have noise correlated over up to 1 s, and reco
 TRAININGS = {"tilted_run": 2}  # recordings for training that a world needs
 SIZES = (5.0, 2.0, 1.0, 0.5)
 DURATIONS, DURATIONS_OF_SEVERAL = (15.0, 60.0), (15.0, 30.0)  # s, of one and of each of several
+#: What six effects of one arm are drawn from, and their sizes: real arms lack many at once, most of
+#: them friction, and some of them large.
+COMMON = (
+    *(2 * ("stribeck", "load_friction", "viscous_polynomial", "presliding")),
+    "viscous_asymmetric", "position_friction", "temperature_friction", "torque_ripple",
+    "torque_lowpass", "torque_gain", "armature", "encoder_offset",
+)  # fmt: skip
+SIZES_OF_SIX = (1.5, 12.0)
 SHORT = 0.4  # part of the later cases whose recordings have the shortest duration
 
 
@@ -231,6 +239,9 @@ def choose_effects(
     )
     if case.effect:
         names, targets = [case.effect], [case.size]
+    elif case.kind == "six":
+        names = [str(x) for x in random.choice(COMMON, 6)]
+        targets = np.exp(random.uniform(*np.log(SIZES_OF_SIX), 6)).tolist()
     else:
         count = {"none": 0, "pair": 2, "triple": 3}[case.kind]
         names = [str(x) for x in random.choice(list(library), count, replace=False)]
@@ -241,7 +252,7 @@ def choose_effects(
     hidden = []
     for name in names:
         one = library[name](motion, int(random.integers(setup.arm.n)))
-        if one is None:
+        if one is None or (name, one.joints) in {(each.effect, each.joints) for each in hidden}:
             return None, []
         hidden.append(one)
     return hidden, targets

@@ -14,6 +14,7 @@ from hidden_effects.worlds import WORLDS
 
 DRAWS = {"missing": 4, "changed": 2}  # of each effect at each size
 SEVERAL = {"pair": 36, "triple": 12, "none": 80}
+SIX_DRAWS = 80  # of arms that lack six effects
 FOREIGN_SIZES = (5.0, 2.0, 1.0)
 FOREIGN_DRAWS, FORM_DRAWS, WORLD_DRAWS = 2, 4, 12  # of each
 TIMES = ("0.02s", "0.05s", "0.1s", "0.2s", "0.3s", "0.5s", "1s")  # of empty correlated cases
@@ -22,7 +23,7 @@ SECOND_ONLY = frozenset(
     ("friction_step", "product_of_other_velocities", "cross_talk", "friction_by_acceleration",
      *(f"bam_m{model}" for model in range(1, 7)))
 )  # fmt: skip
-KINDS = ("single", "pair", "triple", "none", "correlated", "foreign", "form", "world")
+KINDS = ("single", "pair", "triple", "six", "none", "correlated", "foreign", "form", "world")
 HALVES = ("tune", "sealed")
 QUICK = (  # of the tune half: mode, kind, number of cases
     ("missing", "single", 10), ("missing", "pair", 2), ("missing", "none", 1),
@@ -43,6 +44,7 @@ def cases() -> Iterator[Case]:
             if first:
                 count = CORRELATED_DRAWS[mode]
                 yield from _each("correlated", TIMES, (0.0,), count, first, changed)
+        yield from (Case("six", first + k) for k in range(SIX_DRAWS))
         yield from _each("form", FORMS, FOREIGN_SIZES, FORM_DRAWS, first)
         yield from _each("world", WORLDS, (0.0,), WORLD_DRAWS, first)
 

@@ -99,13 +99,17 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
     def rate(chosen: list[Row], key: str) -> Rate:
         return Rate.of(chosen, lambda r: r.get(key, False))
 
-    single, pair, triple = (of("missing", kind) for kind in ("single", "pair", "triple"))
+    single, pair, triple, six = (
+        of("missing", kind) for kind in ("single", "pair", "triple", "six")
+    )
     nothing = of("missing", "none", "correlated")
     changed, unchanged = of("changed", "single"), of("changed", "none", "correlated")
     foreign, form = of("missing", "foreign"), of("missing", "form")
     world, by_foreign = of("missing", "world"), of("changed", "foreign")
-    knew = [r for r in single + pair + triple if r.get("rms_ratio") is not None]
-    harmed = [r for r in nothing if r.get("rms_ratio") is not None]
+    knew, of_six, harmed = (
+        [r for r in rows if r.get("rms_ratio") is not None]
+        for rows in (single + pair + triple, six, nothing)
+    )
     close = lambda r: r["rms_ratio"] <= CLOSE  # noqa: E731
     wrong = lambda r: not r["right"]  # noqa: E731
     return [
@@ -117,6 +121,8 @@ def goals(rows: Sequence[Row]) -> list[Goal]:
         Goal("pair: the same, stated sets allowed", rate(pair, "right_in_set")),
         Goal("triple: the same, stated sets allowed", rate(triple, "right_in_set")),
         Goal(f"test RMS within {CLOSE:g} of a fit that knew", Rate.of(knew, close), 0.95),
+        Goal("six effects: the same, stated sets allowed", rate(six, "right_in_set")),
+        Goal(f"six effects: test RMS within {CLOSE:g} of a fit that knew", Rate.of(of_six, close)),
         Goal("nothing hidden: false names or shapes", rate(nothing, "name_or_shape"), 0.02, True),
         Goal("nothing hidden: false names", rate(nothing, "name"), 0.02, True),
         Goal("nothing hidden: not sufficient", Rate.of(nothing, wrong)),

@@ -123,7 +123,7 @@ def test_sizes_agree_with_the_truth(name):
     record = noiseless_record(arm, motion, drawn.sensors.rate)
     recorded = measure(arm, motion, silent)
     assert np.array_equal(recorded.tau, record.tau)
-    if case.kind == "pair":
+    if case.kind in ("pair", "six"):
         for effect in drawn.truth["effects"]:
             assert effect["size"] == pytest.approx(effect["target"], rel=0.15)
         return
@@ -244,6 +244,7 @@ def test_the_schedule_contains_all_kinds_of_cases():
             assert sum(c.kind == kind for c in own) >= least
         for effect in effect_library.CHANGED if changed else effect_library.MISSING:
             assert sum(c.effect == effect for c in own) >= 4
+    assert sum(c.kind == "six" for c in every) >= 80
     for kind, names in (("foreign", FOREIGN), ("form", FORMS), ("world", WORLDS)):
         assert {c.effect for c in every if c.kind == kind} == set(names)
         for half in schedule.HALVES:
@@ -251,7 +252,7 @@ def test_the_schedule_contains_all_kinds_of_cases():
             assert {c.effect for c in chosen} == set(names)
     assert not set(schedule.chosen(half="tune")) & set(schedule.chosen(half="sealed"))
     assert {c.half for c in schedule.quick()} == {"tune"}
-    assert {c.kind for c in schedule.quick()} == set(schedule.KINDS) - {"triple"}
+    assert {c.kind for c in schedule.quick()} == set(schedule.KINDS) - {"triple", "six"}
     first, following = schedule.chosen(count=7), schedule.chosen(skip=7, count=5)
     assert [*first, *following] == schedule.chosen(count=12)
 
