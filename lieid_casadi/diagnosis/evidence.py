@@ -52,11 +52,9 @@ class Slot:
 
     @property
     def fall(self) -> float:
-        """Relative fall of the held-out error, the geometric mean over the parts.
-
-        In a sum of squares one part to which no others extend would decide alone.
-        """
-        return 1.0 - float(np.exp(-np.mean(self.evidence.gains)))
+        """Relative fall of the held-out error of its joint."""
+        before, after = (x[self.joint] + x[-1] for x in (self.before, self.after))
+        return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else 0.0
 
     def reason(self, options: DiagnosisOptions, *, elsewhere: int = 0) -> str | None:
         """Return why the held-out parts do not support the effect, or None."""
