@@ -483,6 +483,16 @@ def test_functions_of_the_signals_of_its_cause_are_rivals_of_a_coupling(function
     assert not rivals._same_kind(smooth, coupling)
 
 
+def test_a_sentence_states_the_joint_whose_error_falls_if_it_is_another_than_the_effects():
+    (step,) = lieid.diagnose(MODEL, two_runs(("stribeck", 0, 1.0))[0]).steps
+    here, there = (finding([replace(step, joint=j)], "missing") for j in (0, 1))
+    assert "held-out error" in here
+    assert "held-out error of joint" not in here
+    assert "of the held-out error of joint 2" in there
+    both = [step, replace(step, joints=(1,), joint=0, label="stribeck:2")]
+    assert "of the held-out error of joint 1" in finding(both, "missing")
+
+
 def test_a_smooth_function_leaves_the_name_of_an_earlier_larger_effect():
     (step,) = lieid.diagnose(MODEL, two_runs(("stribeck", 0, 1.0))[0]).steps
     effect = replace(step, before=3.0, after=1.0)

@@ -103,6 +103,7 @@ SOME = (
     pytest.param("changed-single-coulomb-1x-0", marks=pytest.mark.slow),
     pytest.param("missing-foreign-friction_peak-5x-0", marks=pytest.mark.slow),
     "missing-pair-1",
+    "missing-six-2",
 )
 
 
