@@ -28,7 +28,7 @@ from dataclasses import replace
 
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.diagnosis.changed import diagnose_changed
-from lieid_casadi.diagnosis.events import held_joints, leave_out_events, with_brief_effects
+from lieid_casadi.diagnosis.events import leave_out_events, with_brief_effects
 from lieid_casadi.diagnosis.gates import Proposal
 from lieid_casadi.diagnosis.missing import diagnose_missing
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -36,6 +36,7 @@ from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.transients import Event
 from lieid_casadi.errors import DropoutWarning, IdentificationError, unique_warnings
 from lieid_casadi.identification import Fit, identify
+from lieid_casadi.identification.fit_warnings import held_joints
 from lieid_casadi.identification.identify import Method
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processing, Recording

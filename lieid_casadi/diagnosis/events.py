@@ -12,10 +12,9 @@ from lieid_casadi.arrays import Mask
 from lieid_casadi.diagnosis.transients import Event, transient_events
 from lieid_casadi.effects.backlash import Backlash
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
-from lieid_casadi.errors import HeldJointWarning, IdentificationError, NoSolution, RecordingError
+from lieid_casadi.errors import IdentificationError, NoSolution, RecordingError
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
-from lieid_casadi.identification.prediction import relative_temperature, torque_along
 from lieid_casadi.identification.recording_checks import Source, check_recordings
 from lieid_casadi.messages import joints_text
 from lieid_casadi.recording import Processed, Recording, process
@@ -30,8 +29,6 @@ MARGIN = 0.1  # s on both sides of an event
 #: compliance of a held joint.
 LEAST_MOTION = 0.05
 PRISMATIC = 0.1  # m of a prismatic joint that count as 1 rad
-EXCESS = 3.0  # times dry friction and the error in motion, above which something holds a joint
-LEAST_TIME = 0.5  # s in all, a shorter rest is a reversal
 
 
 def leave_out_events(
@@ -137,33 +134,3 @@ def with_brief_effects(fit: Fit, recordings: Sequence[Recording], method: Method
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> float:
     """Return the time that transient errors of a fit would leave out, s."""
     return sum(event.end - event.start for event in transient_events(fit, recordings))
-
-
-def held_joints(fit: Fit, recordings: Sequence[Recording]) -> list[HeldJointWarning]:
-    """Return a warning for each joint that something outside the arm holds: an object, a stop."""
-    robot = fit.model.robot
-    if robot.drives is None or any(r.command is None or r.tau is None for r in recordings):
-        return []
-    dry = np.zeros(robot.n)
-    for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
-        if column.name == "coulomb.f_c":
-            dry[column.joint] = max(value, 0.0)
-    limit = EXCESS * (dry + fit.rms_cv)
-    time, peak = np.zeros(robot.n), np.zeros(robot.n)
-    for raw in process(list(recordings), fit.processing):
-        segment = relative_temperature(raw, fit.temperature_mean)
-        torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes)
-        assert segment.tau is not None  # that of the recording
-        excess = np.where(segment.moving, 0.0, np.abs(segment.tau - torque))
-        time += (excess > limit).sum(axis=0) / segment.rate
-        peak = np.maximum(peak, excess.max(axis=0))
-    return [
-        HeldJointWarning(
-            f"joint {j + 1} rests for {time[j]:.2g} s although its drive's law states up to "
-            f"{peak[j]:.2g} N·m more than gravity needs (dry friction: {dry[j]:.2g} N·m): an "
-            "object or a stop holds it, or the drive delivers less than its law states. Commands "
-            "and positions do not distinguish these, and do not determine the torque of a contact; "
-            "record this joint in free motion"
-        )
-        for j in np.flatnonzero(time > LEAST_TIME)
-    ]

@@ -1,4 +1,4 @@
-"""Warnings of a fit about its own parameters."""
+"""Warnings of a fit about its own parameters and recordings."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from lieid_casadi.errors import (
     ConvergenceWarning,
     DriveLimitWarning,
     FrictionAtRestWarning,
+    HeldJointWarning,
     LieidWarning,
     NotDissipativeWarning,
     RelativeTorqueWarning,
@@ -21,6 +22,8 @@ from lieid_casadi.errors import (
     StatedMassWarning,
     UnidentifiableWarning,
 )
+from lieid_casadi.identification.fit import Fit
+from lieid_casadi.identification.prediction import relative_temperature, torque_along
 from lieid_casadi.identification.regression.design_matrix import Design, has_dry_friction
 from lieid_casadi.identification.regression.fixed_point import ROUNDS, FitState
 from lieid_casadi.identification.regression.least_squares import (
@@ -33,7 +36,7 @@ from lieid_casadi.identification.regression.least_squares import (
 )
 from lieid_casadi.identification.regression.variable_projection import resolved_range
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Processed, Recording
+from lieid_casadi.recording import Processed, Recording, process
 from lieid_casadi.robot import Robot
 
 #: About the numbers of one fit: those of a later one take their place.
@@ -56,6 +59,8 @@ OF_LIMIT = 0.5  # of a joint's error, below which a limit of its drive must lowe
 ROUGH = 1.3
 EXACT = 1e-4  # error relative to the torque, below which a fit needs no warning
 ROWS_FOR_LIMIT = 5  # for each column of a joint
+EXCESS = 3.0  # times dry friction and the error in motion, above which something holds a joint
+LEAST_TIME = 0.5  # s in all, a shorter rest is a reversal
 
 
 def of_regression(
@@ -239,4 +244,34 @@ def relative_torque(robot: Robot, recordings: Sequence[Recording]) -> list[Lieid
             "of K (where N·m is written read rad·K), one K for all joints; --known-mass LINK=KG "
             "or lieid gains determine K in N·m/rad"
         )
+    ]
+
+
+def held_joints(fit: Fit, recordings: Sequence[Recording]) -> list[HeldJointWarning]:
+    """Return a warning for each joint that something outside the arm holds: an object, a stop."""
+    robot = fit.model.robot
+    if robot.drives is None or any(r.command is None or r.tau is None for r in recordings):
+        return []
+    dry = np.zeros(robot.n)
+    for column, value in zip(fit.model.columns, fit.effect_coefficients, strict=True):
+        if column.name == "coulomb.f_c":
+            dry[column.joint] = max(value, 0.0)
+    limit = EXCESS * (dry + fit.rms_cv)
+    time, peak = np.zeros(robot.n), np.zeros(robot.n)
+    for raw in process(list(recordings), fit.processing):
+        segment = relative_temperature(raw, fit.temperature_mean)
+        torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes)
+        assert segment.tau is not None  # that of the recording
+        excess = np.where(segment.moving, 0.0, np.abs(segment.tau - torque))
+        time += (excess > limit).sum(axis=0) / segment.rate
+        peak = np.maximum(peak, excess.max(axis=0))
+    return [
+        HeldJointWarning(
+            f"joint {j + 1} rests for {time[j]:.2g} s although its drive's law states up to "
+            f"{peak[j]:.2g} N·m more than gravity needs (dry friction: {dry[j]:.2g} N·m): an "
+            "object or a stop holds it, or the drive delivers less than its law states. Commands "
+            "and positions do not distinguish these, and do not determine the torque of a contact; "
+            "record this joint in free motion"
+        )
+        for j in np.flatnonzero(time > LEAST_TIME)
     ]

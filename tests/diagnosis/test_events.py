@@ -9,8 +9,9 @@ from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.diagnosis.events import held_joints, leave_out_events
+from lieid_casadi.diagnosis.events import leave_out_events
 from lieid_casadi.diagnosis.transients import ResidualSignals, returns_with_position
+from lieid_casadi.identification.fit_warnings import held_joints
 from lieid_casadi.recording import process
 
 ROBOT = lieid.robots.panda()
