@@ -2,7 +2,7 @@
 
 The method, for missing effects (`missing`):
 
-1. Fit the model; leave out contact and faults (`events`).
+1. Fit the model; leave out contact and faults (`events`), which the final model judges again.
 2. Evaluate every effect of the library on every joint on the rows of the fit (`rows`), and what
    changes between recordings or in the course of one; find the path of effects that together
    explain most (`path`), on all rows and on the rows outside each of ten held-out stretches of time
@@ -28,12 +28,12 @@ from dataclasses import replace
 
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.diagnosis.changed import diagnose_changed
-from lieid_casadi.diagnosis.events import leave_out_events, with_brief_effects
+from lieid_casadi.diagnosis.events import leave_out_events, with_brief_effects, without_events
 from lieid_casadi.diagnosis.gates import Proposal
 from lieid_casadi.diagnosis.missing import diagnose_missing
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.result import Diagnosis
-from lieid_casadi.diagnosis.transients import Event
+from lieid_casadi.diagnosis.transients import Event, unexplained_events
 from lieid_casadi.errors import DropoutWarning, IdentificationError, unique_warnings
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.fit_warnings import held_joints
@@ -110,13 +110,21 @@ def diagnose(
     first = identify(as_model(model), recordings, method=method, processing=processing)
     judged = with_brief_effects(first, recordings, method)
     kept, events = leave_out_events(judged, recordings)
-    if any(event.kind != "standstill" for event in events):
-        first = identify(as_model(model), kept, method=method, processing=first.processing)
     kept_tests, test_events = leave_out_events(judged, tests) if tests else ([], ())
-    found = diagnose_missing(
-        first, kept, kept_tests, method=method, options=chosen, ask=ask, report=report, seed=seed
-    )
-    return _with_events(found, (*events, *test_events), [*recordings, *tests])
+    events, every = (*events, *test_events), [*recordings, *tests]
+    while True:
+        fit, left_out = first, any(event.kind != "standstill" for event in events)
+        if left_out:
+            fit = identify(as_model(model), kept, method=method, processing=first.processing)
+        found = diagnose_missing(
+            fit, kept, kept_tests, method=method, options=chosen, ask=ask, report=report, seed=seed
+        )
+        standing = unexplained_events(found.fit, every, events) if left_out else events
+        if len(standing) == len(events):
+            return _with_events(found, events, every)
+        # effects that the first model lacked looked like contact
+        events, kept = standing, without_events(recordings, standing)
+        kept_tests = tests and without_events(tests, standing)
 
 
 def _with_events(

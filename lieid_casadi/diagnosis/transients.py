@@ -100,9 +100,7 @@ class Event:
 
 def transient_events(fit: Fit, recordings: Sequence[Recording]) -> tuple[Event, ...]:
     """Return the transient errors of a fit along recordings with torques, in the order of time."""
-    segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
-    signals = [ResidualSignals.of(fit, segment) for segment in segments]
-    scale = _scale(signals)
+    signals, scale = _signals(fit, recordings)
     found: list[Event] = []
     for own in signals:
         size = own.excess / scale
@@ -111,6 +109,27 @@ def transient_events(fit: Fit, recordings: Sequence[Recording]) -> tuple[Event, 
         if sum(e.stop - e.start for e in events) <= MOST_TIME * len(own.time):
             found += [_event(own, scale, event) for event in events]
     return tuple(found)
+
+
+def unexplained_events(
+    fit: Fit, recordings: Sequence[Recording], events: Sequence[Event]
+) -> tuple[Event, ...]:
+    """Return the events in which a fit has transient errors, too, and joints at rest."""
+    signals, scale = _signals(fit, recordings)
+
+    def large(event: Event, own: ResidualSignals) -> bool:
+        inside = (own.time >= event.start) & (own.time <= event.end)
+        same = event.recording.sha256 == own.segment.recording.source_hash
+        return same and bool((own.excess[inside] > LEAST * scale).any())
+
+    return tuple(e for e in events if e.kind == "standstill" or any(large(e, s) for s in signals))
+
+
+def _signals(fit: Fit, recordings: Sequence[Recording]) -> tuple[list[ResidualSignals], Array]:
+    """Return the errors of a fit along recordings, and the scale of each joint's (n,), N·m."""
+    segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
+    signals = [ResidualSignals.of(fit, segment) for segment in segments]
+    return signals, _scale(signals)
 
 
 def _scale(signals: Sequence[ResidualSignals]) -> Array:

@@ -10,7 +10,11 @@ from plant.recordings import recorded
 import lieid_casadi as lieid
 from lieid_casadi import plant
 from lieid_casadi.diagnosis.events import leave_out_events
-from lieid_casadi.diagnosis.transients import ResidualSignals, returns_with_position
+from lieid_casadi.diagnosis.transients import (
+    ResidualSignals,
+    returns_with_position,
+    transient_events,
+)
 from lieid_casadi.identification.fit_warnings import held_joints
 from lieid_casadi.recording import process
 
@@ -119,6 +123,18 @@ def test_a_push_while_training_does_not_hide_what_is_missing():
     found = lieid.diagnose(MODEL, [train, recording(seed=2, hidden=hidden)])
     assert [event.kind for event in found.events] == ["contact"]
     assert [step.label for step in found.steps] == ["load_friction:2"]
+
+
+@pytest.mark.slow
+def test_what_the_missing_effects_explain_is_no_event_in_the_end():
+    """Beside the plain model the ripple of joint 6 looks like a fault of the recorder."""
+    arm = plant.demo_arm(ROBOT, seed=0, hidden=None)
+    ripples = [plant.hidden_effect(arm, "torque_ripple", j, strength=6.0) for j in (1, 3, 5)]
+    run = recorded(arm.with_effects(*ripples), 2, seconds=12.0, name="run")
+    assert transient_events(lieid.identify(MODEL, run), [run])
+    found = lieid.diagnose(MODEL, run)
+    assert found.events == ()
+    assert {step.label for step in found.steps} == {f"torque_ripple:{j}" for j in (2, 4, 6)}
 
 
 @pytest.mark.parametrize("fault", ["frozen", "spike"])
