@@ -22,9 +22,7 @@ class BackEmf(Effect):
     signals = ("dq",)
     commanded = True
     revealed_by = "motion at several speeds; only a run without power separates it from friction"
-    confused_with = {
-        "viscous": "the two are the same with any recording under power",
-    }
+    confused_with = {"viscous": "the two are the same with any recording under power"}
     typical = "stall torque over no-load speed of a servo: 0.05 to 1 N·m·s/rad"
 
     def columns(self, s: Signals, shape: ShapeSymbols) -> Columns:

@@ -20,10 +20,7 @@ class Payload(ArmEffect):
 
     name = "payload"
     finding = ("A body is attached to the tool",)
-    change = (
-        "The body at the tool has become heavier",
-        "The body at the tool has become lighter",
-    )
+    change = ("The body at the tool has become heavier", "The body at the tool has become lighter")
     formula = "Y_tool·[m, m·c]"
     coefficients = (
         Coefficient("m", "kg", limit=500.0, meaning="mass"),

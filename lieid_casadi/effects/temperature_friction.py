@@ -24,7 +24,7 @@ class TemperatureFriction(Effect):
         "exponential": (
             "viscous friction that falls exponentially with temperature, as lubricants do "
             "(Vogel, Reynolds); replaces viscous, or, beside it, is the part that falls"
-        ),
+        )
     }
     signals: tuple[str, ...] = ("dq", "sign", "temperature")
     revealed_by = "the same motion with a cold and a warm joint, 10 °C apart or more"

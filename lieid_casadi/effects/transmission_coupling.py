@@ -18,7 +18,7 @@ class TransmissionCoupling(Effect):
         "rotor": (
             "joint i also accelerates the rotor of joint j's drive, as where the gears of a wrist "
             "turn each other; 5<6 and 6<5 have the same inertia"
-        ),
+        )
     }
     signals: tuple[str, ...] = ("dq", "sign")
     couples = True

@@ -9,10 +9,7 @@ class Viscous(Effect):
     """Friction in proportion to velocity: τ = f_v·q̇, f_v in N·m·s/rad."""
 
     name = "viscous"
-    finding = (
-        "Friction on {joints} grows with speed",
-        "Friction on {joints} falls with speed",
-    )
+    finding = ("Friction on {joints} grows with speed", "Friction on {joints} falls with speed")
     change = ("Viscous friction on {joints} has {increased}",)
     formula = "f_v·q̇"
     coefficients = (

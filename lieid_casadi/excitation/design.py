@@ -253,11 +253,7 @@ def rest_pose(
 
 
 def find_start_pose(
-    robot: Robot,
-    limits: MotionRange,
-    sets: Sequence[ConstraintSet],
-    *,
-    travel: Array | None = None,
+    robot: Robot, limits: MotionRange, sets: Sequence[ConstraintSet], *, travel: Array | None = None
 ) -> Array:
     """Return the middle of the joint ranges or, near a limit, the random pose farthest from all.
 

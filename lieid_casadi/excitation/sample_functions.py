@@ -30,11 +30,7 @@ class SampleKernel:
     """
 
     def __init__(
-        self,
-        name: str,
-        symbols: Motion,
-        matrix: ca.SX,
-        further: Mapping[str, ca.SX] | None = None,
+        self, name: str, symbols: Motion, matrix: ca.SX, further: Mapping[str, ca.SX] | None = None
     ) -> None:
         inputs = vars(symbols) | dict(further or {})
         sparse = sparse_function(name, list(inputs.values()), list(inputs), matrix)

@@ -134,11 +134,7 @@ class Computation:
         return self._keep(("fit", step.key), kept)
 
     def find(
-        self,
-        step: ModelStep,
-        *,
-        report: Progress,
-        processing: Processing | None = None,
+        self, step: ModelStep, *, report: Progress, processing: Processing | None = None
     ) -> tuple[FoundEffects, bytes]:
         """Return the effects that the model of a step lacks, and the fit with all of them."""
         self._processing = self._processing or processing

@@ -193,11 +193,7 @@ class TorquePlot(View):
 
 
 def errors_over_signals(
-    series: list[Series],
-    joint: int,
-    window: tuple[float, float] | None,
-    *,
-    revolute: bool = True,
+    series: list[Series], joint: int, window: tuple[float, float] | None, *, revolute: bool = True
 ) -> list[dict[str, Any]]:
     """Return the error over angle, speed, load, time, and temperature where it was recorded.
 

@@ -187,11 +187,7 @@ class _Server(uvicorn.Server):
 
 
 def serve(
-    inputs: WorkbenchInputs,
-    setup: WorkerSetup,
-    port: int,
-    *,
-    ready: Callable[[str], None],
+    inputs: WorkbenchInputs, setup: WorkerSetup, port: int, *, ready: Callable[[str], None]
 ) -> None:
     """Serve the page until the process is asked to end; raises as `serve_pages`."""
     remove_old_sessions()
