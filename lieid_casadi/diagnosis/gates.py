@@ -306,22 +306,20 @@ def with_other_forms(state: State) -> State:
     """Return the state with another form of friction, or of a delay, in place of effects.
 
     It is better if the cross-validated error is lower by what an effect must be worth; with fewer
-    parameters, if it is not higher by as much.
+    parameters, and on the other joints, if it is not higher by as much. Effects that are no longer
+    plausible beside it leave.
     """
     search = state.search
     for j in range(state.fit.model.n):
         for found, replaced in other_forms(state.accepted, j, search.candidates):
             others = [*(a for a in state.accepted if a not in replaced), found]
             fewer = found.candidate.parameters < sum(a.candidate.parameters for a in replaced)
-            most = state.fit.rms_cv[j] * (1.0 - search.options.worth) ** (-1 if fewer else 1)
-            try:
-                fit = search.fitted(others)
-            except NoSolution:
+            most = state.fit.rms_cv / (1.0 - search.options.worth)
+            most[j] = state.fit.rms_cv[j] * (1.0 - search.options.worth) ** (-1 if fewer else 1)
+            other = plausible(state, others)
+            if found not in other.accepted or (other.fit.rms_cv > most).any():
                 continue
-            doubtful = any(search.reason_against(fit, each) for each in others)
-            if doubtful or fit.rms_cv[j] > most:
-                continue
-            other = replace(state, fit=search.complete(others), accepted=tuple(others))
+            other = replace(other, fit=search.complete(other.accepted))
             errors = float(state.fit.rms_cv[j]), float(other.fit.rms_cv[j])
             if doubt_of(other, found) is None and search.agreed(found.placement.label, j, errors):
                 state = other
