@@ -30,6 +30,7 @@ SMALLEST_TAIL = 1e-300  # probability of a deviation: the inverse of the distrib
 #: Statistics: Benjamini and Hochberg, J. Royal Statistical Society B 1995.
 FALSE_EFFECTS = 0.1
 OTHER_JOINTS = 2  # that have an effect, from which less evidence is enough on a further joint
+BEYOND = 10.0  # times the median error of the parts: as so large counts one with a larger error
 ALIKE = 0.5  # part of an effect's torque that a group must be able to replace to count as a rival
 
 
@@ -39,8 +40,8 @@ class Slot:
 
     group: int
     evidence: Evidence
-    #: (n + 1,) each: weighted held-out sum of squares of each joint without it and with it, and of
-    #: the prior, by which parameters of a kept model that move in its place are held
+    #: (K,) each: weighted sum of squares of its joint in each held-out part, without it and with
+    #: it, and of the prior, by which parameters of a kept model that move in its place are held
     before: Array
     after: Array
     #: groups that are in its place in paths without it
@@ -52,8 +53,12 @@ class Slot:
 
     @property
     def fall(self) -> float:
-        """Relative fall of the held-out error of its joint."""
-        before, after = (x[self.joint] + x[-1] for x in (self.before, self.after))
+        """Relative fall of the held-out error of its joint.
+
+        A part to which the others do not extend would decide alone: it counts less.
+        """
+        counts = np.minimum(1.0, BEYOND**2 * np.median(self.after) / np.maximum(self.after, 1e-300))
+        before, after = (float(counts @ squares) for squares in (self.before, self.after))
         return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else 0.0
 
     def reason(self, options: DiagnosisOptions, *, elsewhere: int = 0) -> str | None:
@@ -152,7 +157,7 @@ def judge(
     members = [_members(whole, path, outside, torque, columns.owner) for path in parts]
     gains, expected = np.zeros((2, len(whole), folds.count))
     squares = np.zeros((folds.count, n + 1))
-    before, after = np.zeros((2, len(whole), n + 1))
+    before, after = np.zeros((2, len(whole), folds.count, n + 1))
     for k, path in enumerate(parts):
         frictions = [g for own in places.values() for g in own]
         held = HeldOut(span, folds, k, {g: outside[g] for g in (*path, *frictions)})
@@ -177,13 +182,13 @@ def judge(
             error, size = more[own].sum(), held.squares(change, at)[own].sum()
             gains[e, k] = gains_of(less[own].sum(), error)
             expected[e, k] = gains_of(error + size, error)
-            before[e] += less
-            after[e] += more
+            before[e, k], after[e, k] = less, more
     found = []
     for e, group in enumerate(whole):
         own = [columns.owner[group] in columns.owner[list(m[group])] for m in members]
         instead = [g for m in members for g in m[group] if columns.owner[g] != columns.owner[group]]
-        fall = 1.0 - after[e, :n] / np.maximum(before[e, :n], 1e-300)
+        less, more = (x[e, :, :n].sum(axis=0) for x in (before, after))
+        fall = 1.0 - more / np.maximum(less, 1e-300)
         joint = int(np.argmax(np.where(columns.reach[:, group], fall, -np.inf)))
         evidence = Evidence(
             tuple(map(float, gains[e])),
@@ -194,7 +199,8 @@ def judge(
             int(folds.independent[joint]),
         )
         rivals = tuple(dict.fromkeys(instead))
-        found.append(Slot(group, evidence, before[e], after[e], rivals, values[group], joint))
+        less, more = (x[e][:, [joint, n]].sum(axis=1) for x in (before, after))
+        found.append(Slot(group, evidence, less, more, rivals, values[group], joint))
     of_arm = list(dict.fromkeys(_of_the_arm(slot, columns) for slot in found))
     if of_arm != list(whole):
         return judge(paths, folds, of_arm, parts, friction, steady)

@@ -76,7 +76,7 @@ class Round:
         """Return the held-out RMS error of an effect's joint without it and with it, N·m."""
         j = slot.joint
         scale = self.spread[j] / np.sqrt(max(self.rows.runs[j].count, 1))
-        before, after = (scale * np.sqrt(squares[j]) for squares in (slot.before, slot.after))
+        before, after = (scale * np.sqrt(squares.sum()) for squares in (slot.before, slot.after))
         return float(before), float(after)
 
 

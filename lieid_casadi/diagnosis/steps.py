@@ -310,7 +310,7 @@ def difference_of(found: Round, slot: Slot, *, of_model: bool) -> Difference:
         of_model,
         since,
         period,
-        1.0 - float(slot.after[j] / slot.before[j]),
+        1.0 - float(slot.after.sum() / slot.before.sum()),
         signals,
     )
 

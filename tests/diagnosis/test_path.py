@@ -283,6 +283,24 @@ def test_an_effect_of_the_arm_counts_where_the_error_falls_most():
     assert found.reason(DiagnosisOptions()) is None
 
 
+def test_one_part_with_a_large_error_does_not_decide():
+    """A gain certain to 24 standard errors was refused: the sum of squares was that of one part."""
+    random = np.random.default_rng(8)
+    held = np.array([np.arange(ROWS) * 10 // ROWS == k for k in range(10)])
+    own, model = random.normal(size=(ROWS, 1)), random.normal(size=(ROWS, MODEL))
+    own[held[0]], model[held[0]] = 0.0, 0.0
+    candidate = Candidate(Placement(make("viscous_asymmetric"), 0), np.zeros((1, 0)))
+    columns = assemble([candidate], [0], [0], [1], [[(0, own)]], [ROWS])
+    residual = np.where(held[0], 30.0, 1.0) * random.normal(size=ROWS) + 2.0 * own[:, 0]
+    span = Span.of([model], [residual])
+    folds = Folds(held, held, 0.0, np.array([100]))
+    paths = Paths(span, columns, folds.out)
+    (found,), _ = judge(paths, folds, [0], [[0]] * 10, {}, np.ones(ROWS, dtype=bool))
+    assert found.reason(DiagnosisOptions()) is None
+    assert found.before[0] > 0.9 * found.before.sum()  # of which it lowers none
+    assert 0.1 < found.fall < 0.5
+
+
 def test_a_path_ends_where_groups_replace_each_other(monkeypatch):
     """A hang on a recording of 0.3 s correlated noise: an exchange took back what was added."""
     model, residual, columns = problem(4, signal=(2, 5))
