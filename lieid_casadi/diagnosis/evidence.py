@@ -30,7 +30,7 @@ SMALLEST_TAIL = 1e-300  # probability of a deviation: the inverse of the distrib
 #: Statistics: Benjamini and Hochberg, J. Royal Statistical Society B 1995.
 FALSE_EFFECTS = 0.1
 OTHER_JOINTS = 2  # that have an effect, from which less evidence is enough on a further joint
-BEYOND = 10.0  # times the median error of the parts: as so large counts one with a larger error
+BEYOND = 10.0  # times the median error of the parts: a larger one counts as this
 ALIKE = 0.5  # part of an effect's torque that a group must be able to replace to count as a rival
 
 

@@ -31,6 +31,7 @@ from hidden_effects.worlds import Measured, World
 
 from lieid_casadi import LieidError
 from lieid_casadi.arrays import Array
+from lieid_casadi.errors import RecordingError
 from lieid_casadi.plant import Arm, Sensors, TrueMotion, measure, move, move_along
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.yaml_file import write_yaml
@@ -82,7 +83,10 @@ def draw(case: Case) -> Drawn:
             strengths, noise_factor = found
             setup = setup.with_noise(noise_factor)
             world = choose_world(case, setup, random)
-            drawn = _finish(case, setup, hidden, targets, strengths, world, attempt)
+            try:
+                drawn = _finish(case, setup, hidden, targets, strengths, world, attempt)
+            except RecordingError:  # the controller does not hold the arm
+                continue
             if _is_valid(case, drawn.truth):
                 return drawn
     raise Unreachable(f"{case.name}: no realistic arm in {ATTEMPTS} attempts")
