@@ -104,7 +104,7 @@ def transient_events(fit: Fit, recordings: Sequence[Recording]) -> tuple[Event, 
     found: list[Event] = []
     for own in signals:
         size = own.excess / scale
-        errors = [e for j in range(fit.model.n) for e in _outstanding(own, size, j)]
+        errors = [e for j in range(fit.model.n) for e in outstanding(own, size, j)]
         events = _together(errors, own.time)
         if sum(e.stop - e.start for e in events) <= MOST_TIME * len(own.time):
             found += [_event(own, scale, event) for event in events]
@@ -153,7 +153,7 @@ def _scale(signals: Sequence[ResidualSignals]) -> Array:
     return np.asarray(np.maximum(found, np.maximum(least, 1e-9)))
 
 
-def _outstanding(own: ResidualSignals, size: Array, joint: int) -> list[slice]:
+def outstanding(own: ResidualSignals, size: Array, joint: int) -> list[slice]:
     """Return the errors of a joint that are far above all others and not due to its motion."""
     peaks = _peaks(own.time, size[:, joint])
     sizes = np.array([size[k, joint] for k in peaks])
@@ -162,17 +162,12 @@ def _outstanding(own: ResidualSignals, size: Array, joint: int) -> list[slice]:
     if not len(usable):
         return []
     peaks = peaks[: int(usable[-1]) + 1]
-    stretches = [_around(size[:, joint], k) for k in peaks]
-    inside = np.zeros(len(size), dtype=bool)
-    for stretch in stretches:
-        inside[stretch] = True
     return [
         stretch
-        for stretch in stretches
+        for stretch in (_around(size[:, joint], k) for k in peaks)
         if _fault(own, stretch)
         or not (
-            returns_with_state(own, stretch, joint, inside)
-            or returns_with_position(own, stretch, joint)
+            returns_with_state(own, stretch, joint) or returns_with_position(own, stretch, joint)
         )
     ]
 
@@ -386,12 +381,9 @@ def _without_columns(error: Array, columns: Array, moving: Mask) -> Array:
     return found
 
 
-def returns_with_state(own: ResidualSignals, stretch: slice, joint: int, inside: Mask) -> bool:
-    """Return whether an error returns with the motion, or cannot be compared with other times.
-
-    ``inside`` (M,) are the rows of all stretches, which are not compared.
-    """
-    near = _near(own.state[:, joint], SAME_STATE, own.excess[:, joint], stretch) & ~inside
+def returns_with_state(own: ResidualSignals, stretch: slice, joint: int) -> bool:
+    """Return whether an error returns with the motion, or cannot be compared with other times."""
+    near = _near(own.state[:, joint], SAME_STATE, own.excess[:, joint], stretch)
     visits, similar = _visits(own, stretch, joint, near, own.transient[:, joint])
     return visits < LEAST_VISITS or similar > MOST_SIMILAR * visits
 

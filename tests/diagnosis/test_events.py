@@ -12,6 +12,7 @@ from lieid_casadi import plant
 from lieid_casadi.diagnosis.events import leave_out_events
 from lieid_casadi.diagnosis.transients import (
     ResidualSignals,
+    outstanding,
     returns_with_position,
     transient_events,
 )
@@ -205,6 +206,21 @@ def test_an_error_returns_with_a_position_that_is_passed_once_more(fit, returns)
     nothing = {"slack": np.zeros_like(own.slack), "still": np.zeros_like(own.still)}
     own = replace(own, error=alone[0], transient=alone[0], place=alone[1], **nothing)
     assert returns_with_position(own, slice(first[0], first[-1] + 1), 5) is returns
+
+
+@pytest.mark.parametrize("returns", [True, False])
+def test_an_error_returns_with_a_state_that_is_passed_several_times(fit, returns):
+    """As where play is crossed; each of these errors was compared with all times but the others."""
+    own = ResidualSignals.of(fit, process([recording()], fit.processing)[0])
+    phase = 2.0 * np.pi * np.arange(len(own.time)) / len(own.time) * 4.0  # four rounds
+    error = 5.0 * np.exp(-(((phase % (2.0 * np.pi) - 2.0) / 0.1) ** 2))
+    if not returns:
+        error[phase > 2.0 * np.pi] = 0.0
+    state, values = np.zeros_like(own.state), np.zeros_like(own.error)
+    state[:, 5, 0], state[:, 5, 1], values[:, 5] = np.cos(phase), np.sin(phase), error
+    nothing = {"slack": np.zeros_like(own.slack), "still": np.zeros_like(own.still)}
+    own = replace(own, error=values, transient=values, state=state, place=0.0 * values, **nothing)
+    assert len(outstanding(own, own.excess / 0.01, 5)) == (0 if returns else 1)
 
 
 def test_effects_on_joints_that_hardly_move_are_no_candidates(fit):
