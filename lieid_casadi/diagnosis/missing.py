@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
@@ -50,6 +52,7 @@ from lieid_casadi.recording import Recording, process
 
 Report = Callable[[str, float], None]
 ROUNDS = 2  # of search and fit; the second one adds what the first fit hid
+HIGHER = Rejection("in a fit with it the held-out error is higher")
 
 
 def diagnose_missing(
@@ -96,7 +99,11 @@ def _searched(state: State, rows: Rows, report: Report) -> tuple[State, Round]:
         before, state = state.apart, _with_set_apart(state, found)
         rounds += 1
         state = replace(state, unseen=UnseenMotion.of(rows, found.folds))
-        state = moving(plausible(state, [*state.accepted, *new]))
+        further = moving(plausible(state, [*state.accepted, *new]))
+        if np.nansum(np.log(further.fit.rms_cv / state.fit.rms_cv)) > 0.0:
+            higher = {a.placement.label: HIGHER for a in new}
+            further = state.rejecting(higher, refused=True)
+        state = further
         if rounds >= ROUNDS or not (new or len(state.apart) > len(before)):
             break
         rows = _beside(state, rows)
@@ -129,8 +136,7 @@ def _with_limits(state: State, found: list[Accepted]) -> State:
         if len(found) == len(state.accepted):
             return moving(state)
         higher = [a.placement.label for a in state.accepted if part[a.joint] >= 1.0]
-        reason = Rejection("in a fit with it the held-out error is higher")
-        state = state.rejecting(dict.fromkeys(higher, reason), refused=True)
+        state = state.rejecting(dict.fromkeys(higher, HIGHER), refused=True)
 
 
 def _with_the_same_elsewhere(state: State, rows: Rows) -> State:

@@ -10,7 +10,7 @@ import numpy as np
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay, is_form
-from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations
+from lieid_casadi.diagnosis.evidence import DEPENDENT, Slot, coefficient_deviations
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import rivals_of
@@ -88,10 +88,17 @@ class Accepted:
         return self.candidate.placement
 
     def coefficient_deviations(self, fit: Fit) -> float:
-        """Return how far its coefficients in a fit are from zero, or NaN where it has none."""
+        """Return how far its coefficients in a fit are from zero, or NaN where this is unknown.
+
+        So it is without coefficients, and where rounding of a combination that the data do not
+        determine exceeds the variances of the others.
+        """
         own = [k for k, p in enumerate(fit.model.base_columns) if p.belongs_to(self.placement)]
         covariance = fit.covariance[np.ix_(own, own)]
         if not own or not np.isfinite(covariance).all():
+            return float("nan")
+        variances = np.linalg.eigvalsh(covariance)
+        if variances[0] < -DEPENDENT * variances[-1]:
             return float("nan")
         known, tried = self.evidence.independent, self.candidate.scanned
         return coefficient_deviations(fit.values[own], covariance, known, tried)

@@ -31,7 +31,6 @@ from hidden_effects.worlds import Measured, World
 
 from lieid_casadi import LieidError
 from lieid_casadi.arrays import Array
-from lieid_casadi.errors import RecordingError
 from lieid_casadi.plant import Arm, Sensors, TrueMotion, measure, move, move_along
 from lieid_casadi.robot import Robot
 from lieid_casadi.robot.yaml_file import write_yaml
@@ -85,7 +84,7 @@ def draw(case: Case) -> Drawn:
             world = choose_world(case, setup, random)
             try:
                 drawn = _finish(case, setup, hidden, targets, strengths, world, attempt)
-            except RecordingError:  # the controller does not hold the arm
+            except LieidError:  # the controller does not hold the arm
                 continue
             if _is_valid(case, drawn.truth):
                 return drawn
