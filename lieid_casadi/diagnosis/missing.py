@@ -100,7 +100,8 @@ def _searched(state: State, rows: Rows, report: Report) -> tuple[State, Round]:
         rounds += 1
         state = replace(state, unseen=UnseenMotion.of(rows, found.folds))
         further = moving(plausible(state, [*state.accepted, *new]))
-        if np.nansum(np.log(further.fit.rms_cv / state.fit.rms_cv)) > 0.0:
+        kept = all(each in further.accepted for each in state.accepted)
+        if kept and np.nansum(np.log(further.fit.rms_cv / state.fit.rms_cv)) > 0.0:
             higher = {a.placement.label: HIGHER for a in new}
             further = state.rejecting(higher, refused=True)
         state = further
