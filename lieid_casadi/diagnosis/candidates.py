@@ -261,14 +261,9 @@ def _has_signals(effect: Effect, segments: Sequence[Processed], *, commanded: bo
         return commanded != effect.on_torque_signal
     measured = all(segment.temperature is not None for segment in segments)
     if effect.unless_measured == "temperature":
-        return not (measured and _temperature_range(segments) > LEAST_TEMPERATURE_RANGE)
+        values = [s.temperature for s in segments if s.temperature is not None]
+        return not measured or np.ptp(np.vstack(values), axis=0).max() <= LEAST_TEMPERATURE_RANGE
     return "temperature" not in effect.signals or measured
-
-
-def _temperature_range(segments: Sequence[Processed]) -> float:
-    """Return the largest range of a joint's temperature in the recordings, °C."""
-    values = [s.temperature for s in segments if s.temperature is not None]
-    return float(np.ptp(np.concatenate(values), axis=0).max())
 
 
 def is_form(effect: Effect) -> bool:

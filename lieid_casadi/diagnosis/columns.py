@@ -109,10 +109,6 @@ class Columns:
         acts = [[c.reaches_all or c.joint == j for c in self.owners] for j in range(n)]
         return np.array(acts, dtype=bool)[:, self.owner]
 
-    def acting_with(self, group: int) -> Mask:
-        """Return which groups (G,) act on a joint that a group acts on."""
-        return np.asarray(self.reach[self.reach[:, group]].any(axis=0))
-
     @cached_property
     def parameters(self) -> Array:
         """Number of parameters that each group adds to a model (G,)."""
@@ -299,10 +295,6 @@ class ColumnStore:
     of_fit: dict[str, PointColumns] = field(default_factory=dict)
     scans: dict[tuple[str, int], tuple[Array, float]] = field(default_factory=dict)
     functions: dict[str, EffectFunction] = field(default_factory=dict)
-
-    def for_another_fit(self) -> ColumnStore:
-        """Return the store without the columns that depend on the fit."""
-        return replace(self, of_fit={})
 
     def function(self, effect: Effect) -> EffectFunction:
         """Return an effect as a function of signals."""

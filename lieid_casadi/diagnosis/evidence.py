@@ -143,6 +143,8 @@ def judge(
     ``steady`` (R + k,), away from both, counts.
     """
     span, columns = paths.span, paths.columns
+    if span.of_prior:
+        whole, *parts = shortened(paths, folds, whole, parts)
     every = [*dict.fromkeys([*whole, *(g for path in parts for g in path)])]
     outside = dict(zip(every, paths.all_outside(every), strict=True))
     n = len(span.ends) - 1
@@ -171,9 +173,7 @@ def judge(
             beside = [places[kind][j] for kind in kinds for j in joints]
             used = _without_later_functions(path, mine, columns)
             at = steady if "rest" in kinds else None
-            complete = of_path
-            if beside or len(used) < len(path):
-                complete = held.errors([*used, *beside])
+            complete = held.errors([*used, *beside]) if beside or len(used) < len(path) else of_path
             rest = [g for g in used if g not in mine]
             without = held.errors([*rest, *beside]) if mine else complete
             # a part whose path lacks the effect counts with what the effect would be
@@ -186,10 +186,11 @@ def judge(
     found = []
     for e, group in enumerate(whole):
         own = [columns.owner[group] in columns.owner[list(m[group])] for m in members]
-        instead = [g for m in members for g in m[group] if columns.owner[g] != columns.owner[group]]
+        others = (g for m in members for g in m[group] if columns.owner[g] != columns.owner[group])
+        instead = tuple(dict.fromkeys(others))
         less, more = (x[e, :, :n].sum(axis=0) for x in (before, after))
-        fall = 1.0 - more / np.maximum(less, 1e-300)
-        joint = int(np.argmax(np.where(columns.reach[:, group], fall, -np.inf)))
+        left = np.where(columns.reach[:, group], more / np.maximum(less, 1e-300), np.inf)
+        joint = int(np.argmin(left))
         evidence = Evidence(
             tuple(map(float, gains[e])),
             tuple(map(float, expected[e])),
@@ -198,13 +199,43 @@ def judge(
             float(np.mean([bool(m[group]) for m in members])),
             int(folds.independent[joint]),
         )
-        rivals = tuple(dict.fromkeys(instead))
         less, more = (x[e][:, [joint, n]].sum(axis=1) for x in (before, after))
-        found.append(Slot(group, evidence, less, more, rivals, values[group], joint))
+        found.append(Slot(group, evidence, less, more, instead, values[group], joint))
     of_arm = list(dict.fromkeys(_of_the_arm(slot, columns) for slot in found))
     if of_arm != list(whole):
         return judge(paths, folds, of_arm, parts, friction, steady)
     return tuple(found), squares
+
+
+def shortened(
+    paths: Paths, folds: Folds, whole: Sequence[int], parts: Sequence[Sequence[int]]
+) -> list[list[int]]:
+    """Return the paths up to where the held-out parts have the lowest error, of each joint.
+
+    A kept model has the noise of its fit, by which a path goes on through all that its effects
+    leave of a large torque. Further effects there would spoil the error of those before. The
+    logarithms of the errors count: a part to which the others do not extend does not decide.
+    """
+    columns, found = paths.columns, [list(path) for path in (whole, *parts)]
+    helds = [
+        HeldOut(paths.span, folds, k, dict(zip(path, paths.all_outside(path), strict=True)))
+        for k, path in enumerate(parts)
+    ]
+    for j in range(len(columns.joints)):
+        most = max(len(path) - len(_cut(path, j, 0, columns)) for path in parts)
+        logs = np.zeros(most + 1)
+        for held, path in zip(helds, parts, strict=True):
+            for length in range(most + 1):
+                squares = held.squares(held.errors(_cut(path, j, length, columns)))
+                logs[length] += np.log(max(float(squares[[j, -1]].sum()), SMALLEST))
+        found = [_cut(path, j, int(np.argmin(logs)), columns) for path in found]
+    return found
+
+
+def _cut(path: Sequence[int], joint: int, length: int, columns: Columns) -> list[int]:
+    """Return a path with the first groups alone of those that act on one joint only."""
+    own = [g for g in path if columns.reach[:, g].sum() == 1 and columns.reach[joint, g]]
+    return [g for g in path if g not in own[length:]]
 
 
 def _of_the_arm(slot: Slot, columns: Columns) -> int:

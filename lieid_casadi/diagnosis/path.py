@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -59,11 +58,7 @@ class Span:
 
     def joint(self, j: int) -> slice:
         """Return the rows of joint j."""
-        return self._slices[j]
-
-    @cached_property
-    def _slices(self) -> list[slice]:
-        return [slice(int(a), int(b)) for a, b in pairwise(self.ends)]
+        return slice(int(self.ends[j]), int(self.ends[j + 1]))
 
     @property
     def of_prior(self) -> int:

@@ -254,7 +254,10 @@ def evidence_table(d: Diagnosis) -> Table:
         "of torque": [percent(step.share) for step in steps],
         "gain / its error": [figures(step.evidence.deviations, digits=2) for step in steps],
         "selected": [percent(step.evidence.selected) for step in steps],
-        "rivals": [_rival_text(step) for step in steps],
+        "rivals": [
+            ", ".join(f"{r.label} ({r.kind})" for r in step.rivals[:MOST_RIVALS]) or None
+            for step in steps
+        ],
     }
     if d.mode == "changed" or not any(step.fall.test is not None for step in steps):
         del columns["on the test by, N·m"]
@@ -297,10 +300,6 @@ def motion_table(d: Diagnosis) -> Table:
         ],
         note="Under the recorded commands, from measured states, on windows of held-out data.",
     )
-
-
-def _rival_text(step: Step) -> str | None:
-    return ", ".join(f"{r.label} ({r.kind})" for r in step.rivals[:MOST_RIVALS]) or None
 
 
 def unexplained_table(d: Diagnosis) -> Table:

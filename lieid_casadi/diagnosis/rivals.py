@@ -67,7 +67,7 @@ def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Arr
     columns, rows = found.paths.columns, found.rows
     mine = columns.candidate(slot.group)
     fine = gains > LEAST_GAIN * gains[slot.group]
-    near = np.flatnonzero(fine & columns.acting_with(slot.group))
+    near = np.flatnonzero(fine & columns.reach[columns.reach[:, slot.group]].any(axis=0))
     examined, done = list[int](), set[int]()
     for group in map(int, (*slot.instead, *near[np.argsort(-gains[near])])):
         other, owner = columns.candidate(group), int(columns.owner[group])

@@ -132,10 +132,10 @@ def search(
         if finer:
             rows, coarse = replace(rows, columns=rows.columns.joined(finer)), False
             continue
-        folds, slots, functions = _judged(
+        folds, slots = _judged(
             paths, ways, rules, dependence, rows, scale, options, beside_friction
         )
-        leaving = _leaving(rows.columns, slots, functions, options)
+        leaving = _leaving(rows.columns, slots, options)
         if not leaving:
             return Round(rows, scale, folds, paths, slots, rules.penalty)
         kept = ~np.isin(rows.columns.owner, sorted(leaving))
@@ -151,15 +151,14 @@ def _judged(
     spread: Array,
     options: DiagnosisOptions,
     beside_friction: bool,
-) -> tuple[Folds, tuple[Slot, ...], list[Slot]]:
+) -> tuple[Folds, tuple[Slot, ...]]:
     """Return the held-out parts, and the effects of the path on all rows as these judge it.
 
     Of the two paths ``chosen`` on all rows, smooth functions come first in the second one.
-    Smooth functions come first on the joints where the error of the held-out parts is lower so, or
-    where only so anything lowers it: many effects of the library together resemble a torque that
-    none of them describes. Where fewer effects are supported so, any lower error is enough; a
-    smooth function that the library needs as well counts as one. Beside them the functions of a
-    kept model that raise the held-out error, with which no further path is examined.
+    Smooth functions come first on the joints where both are alike, where the error of the held-out
+    parts is lower so, or where only so anything lowers it: many effects of the library together
+    resemble a torque that none of them describes. Where fewer effects are supported so, any lower
+    error is enough; a smooth function that the library needs as well counts as one.
     """
     whole, other = chosen
     folds = folds_of(rows, residual_beside(paths, whole, rows, spread), options.folds)
@@ -180,24 +179,22 @@ def _judged(
         return [kept[list(path)].tolist() for path in found]
 
     first = {paths.columns.candidate(g).joint for g in other if rules.smooth[g]}
-    if set(other) == set(whole) or not first:
-        return folds, judged(whole, outside(()))[0], []
+    alike = first - {paths.columns.candidate(g).joint for g in {*whole} ^ {*other}}
+    if alike == first:
+        return folds, judged(whole, outside(first))[0]
     so, after = judged(other, outside(first))
-    effects = [paths.columns.candidate(slot.group).effect for slot in so if slot.fall < 0.0]
-    if any(isinstance(effect, Smooth) and effect.whole for effect in effects):
-        return folds, so, [s for s in so if rules.smooth[s.group] and s.fall < 0.0]
-    slots, before = judged(whole, outside(()))
+    slots, before = judged(whole, outside(alike))
     plain, smooth = _supported(slots, options), _supported(so, options)
     needed = {paths.columns.candidate(g).joint for g in whole if rules.smooth[g]}
     lower = after.sum(axis=0) < before.sum(axis=0)
-    better = {j for j in first if smooth[j] and not plain[j]}
+    better = alike | {j for j in first if smooth[j] and not plain[j]}
     better |= {j for j in first if lower[j] and 0 < smooth[j] < plain[j] + (j in needed)}
     better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
     if better == first:
-        return folds, so, []
-    if better:
+        return folds, so
+    if better != alike:
         slots, _ = judged(forward(paths, -1, rules, smooth_first=better), outside(better))
-    return folds, slots, []
+    return folds, slots
 
 
 def _supported(slots: Sequence[Slot], options: DiagnosisOptions) -> Counter[int]:
@@ -283,19 +280,12 @@ def _finer_courses(rows: Rows, groups: Iterable[int]) -> list[Columns]:
     return finer
 
 
-def _leaving(
-    columns: Columns, slots: Sequence[Slot], functions: Sequence[Slot], options: DiagnosisOptions
-) -> set[int]:
+def _leaving(columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions) -> set[int]:
     """Return the candidates whose place in a path others should take.
 
-    Those are the smooth functions that raise the held-out error of their joint most: beside them
-    others gain nothing. If there is none, changes in the course of a recording that are not
-    certain, and with them all that are not in the path: they compete with effects where there is
-    no such change.
+    Those are changes in the course of a recording that are not certain, and with them all that are
+    not in the path: they compete with effects where there is no such change.
     """
-    if functions:
-        worst = {slot.joint: slot for slot in sorted(functions, key=lambda slot: -slot.fall)}
-        return {int(columns.owner[slot.group]) for slot in worst.values()}
     pairs = [(slot, columns.candidate(slot.group).course) for slot in slots]
     changes = {int(columns.owner[slot.group]) for slot, course in pairs if course is not None}
     certain = {

@@ -885,6 +885,17 @@ def test_a_change_of_no_known_form_is_one_function_with_what_is_linear_in_its_si
     assert step.after < 0.35 * step.before
 
 
+@pytest.mark.parametrize("part", [0.8, 0.9])
+def test_an_end_stop_that_is_far_above_the_noise_is_one_function_of_the_angle(part):
+    """Its kink is no spline: a path goes on through what the function leaves of it."""
+    angle = run(arm_with(), 6).q[:, 1]
+    start = float(angle.min() + part * np.ptp(angle))
+    stop = plant.ForeignTorque(1, lambda s: 20.0 * np.maximum(s.q[..., 1] - start, 0.0))
+    (step,) = lieid.diagnose(unchanged_fit(), run(arm_with().with_effects(stop), 6)).steps
+    assert (step.label, step.status) == ("smooth/q:2", "shape")
+    assert step.after < 0.1 * step.before
+
+
 def test_a_joint_without_any_torque_has_no_share_of_it():
     recording = run(arm_with(), 3)
     recording = replace(recording, tau=recording.tau * [1.0, 0.0])
