@@ -550,6 +550,29 @@ def test_smooth_functions_are_chosen_beside_the_path(monkeypatch):
         diagnosis_of(("stribeck", 0, 2.0), ("load_friction", 1, 2.0), seed=5)
 
 
+def test_functions_come_first_beside_held_out_parts_where_they_need_not(monkeypatch):
+    """Without a part many effects of the library stand in the place of the same function."""
+    alike, places = [], []
+    judged, forward = search._judged, search.forward
+
+    def seen(paths, chosen, *others):
+        joints = {paths.columns.candidate(g).joint for g in chosen[0] if others[0].smooth[g]}
+        alike.append(joints if set(chosen[0]) == set(chosen[1]) else set())
+        return judged(paths, chosen, *others)
+
+    def along(paths, part, rules, *, smooth_first=()):
+        if alike and alike[-1] and part >= 0:
+            places.append(alike[-1] == set(smooth_first))
+        return forward(paths, part, rules, smooth_first=smooth_first)
+
+    monkeypatch.setattr(search, "_judged", seen)
+    monkeypatch.setattr(search, "forward", along)
+    torque = plant.ForeignTorque(1, lambda s: 0.5 * np.sign(s.q[..., 0] - 0.3))
+    lieid.diagnose(MODEL, run(arm_with().with_effects(torque), 1))
+    assert places
+    assert all(places)
+
+
 @pytest.mark.parametrize(("joint", "other", "gain"), [(1, 0, 0.1), (0, 1, 0.3)])
 def test_cross_talk_of_torque_sensors_is_a_function_of_the_other_joints_torque(joint, other, gain):
     """The columns of joint 1 alone contain much of joint 2's load: links act on both."""
