@@ -186,7 +186,8 @@ def _judged(
     slots, before = judged(whole, outside(alike))
     plain, smooth = _supported(slots, options), _supported(so, options)
     needed = {paths.columns.candidate(g).joint for g in whole if rules.smooth[g]}
-    lower = after.sum(axis=0) < before.sum(axis=0)
+    falls = gains_of(before, after) if paths.span.of_prior else before - after  # as in `shortened`
+    lower = falls.sum(axis=0) > 0.0
     better = alike | {j for j in first if smooth[j] and not plain[j]}
     better |= {j for j in first if lower[j] and 0 < smooth[j] < plain[j] + (j in needed)}
     better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}

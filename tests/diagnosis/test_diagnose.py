@@ -919,6 +919,16 @@ def test_an_end_stop_that_is_far_above_the_noise_is_one_function_of_the_angle(pa
     assert step.after < 0.1 * step.before
 
 
+def test_a_part_to_which_the_others_do_not_extend_is_no_reason_against_a_function():
+    """Springs, payload and wrench imitate it, whose error in that part alone is lower."""
+    angle = run(arm_with(), 3).q[:, 0]
+    slack = float(angle.min() + 0.6 * np.ptp(angle))
+    hose = plant.ForeignTorque(1, lambda s: 2.0 * np.maximum(s.q[..., 0] - slack, 0.0) ** 2)
+    (step,) = lieid.diagnose(unchanged_fit(), run(arm_with().with_effects(hose), 3)).steps
+    assert (step.label, step.status) == ("smooth/q1:2", "shape")
+    assert step.after < 0.05 * step.before
+
+
 def test_a_joint_without_any_torque_has_no_share_of_it():
     recording = run(arm_with(), 3)
     recording = replace(recording, tau=recording.tau * [1.0, 0.0])
