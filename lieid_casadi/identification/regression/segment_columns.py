@@ -49,8 +49,7 @@ class ModelAlongSegment:
     @property
     def friction_known(self) -> Mask:
         """Whether the friction of each joint is determined (K, n)."""
-        moving = self.segment.moving
-        return moving if self.fitted else np.ones_like(moving)
+        return self.segment.moving
 
     @property
     def _links(self) -> Array:
