@@ -43,14 +43,9 @@ class SegmentSignals:
     arm: ModelAlongSegment
 
     @classmethod
-    def of(cls, fit: Fit, segment: Processed, *, model_fixed: bool = False) -> SegmentSignals:
-        """Return the signals of a segment; the load is that of the fit.
-
-        If the model is not fitted again, its friction at starts and stops does not adapt to the
-        segment, and friction at rest counts as unknown.
-        """
+    def of(cls, fit: Fit, segment: Processed) -> SegmentSignals:
+        """Return the signals of a segment; the load is that of the fit."""
         arm = model_along(fit.compiled, segment, fit.shapes, fit.parameters)
-        arm = replace(arm, unknown_at_rest=model_fixed)
         return cls(segment, signals_along(segment, arm.load, arm.late_error), arm)
 
 

@@ -21,7 +21,6 @@ from lieid_casadi.diagnosis.folds import Folds
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Paths, Span
 from lieid_casadi.diagnosis.step import Evidence
-from lieid_casadi.effects.smooth import Smooth
 
 DEPENDENT = 1e-8  # of a largest eigenvalue
 SMALLEST = 1e-12  # part of an error below which it counts as zero
@@ -171,10 +170,9 @@ def judge(
             own = [*joints, n]
             kinds = friction.keys() & columns.candidate(group).effect.like_uncertain_friction
             beside = [places[kind][j] for kind in kinds for j in joints]
-            used = _without_later_functions(path, mine, columns)
             at = steady if "rest" in kinds else None
-            complete = held.errors([*used, *beside]) if beside or len(used) < len(path) else of_path
-            rest = [g for g in used if g not in mine]
+            complete = held.errors([*path, *beside]) if beside else of_path
+            rest = [g for g in path if g not in mine]
             without = held.errors([*rest, *beside]) if mine else complete
             # a part whose path lacks the effect counts with what the effect would be
             change = without - complete if mine else held.on_rows(torque[group])
@@ -246,22 +244,6 @@ def _of_the_arm(slot: Slot, columns: Columns) -> int:
         if other.of_arm and other.placement.label == mine.placement.label:
             return group
     return slot.group
-
-
-def _without_later_functions(
-    path: Sequence[int], mine: Sequence[int], columns: Columns
-) -> Sequence[int]:
-    """Return a path without the smooth functions that came after an effect of the library.
-
-    A function that contains the effect would take its place, and neither would gain beside the
-    other.
-    """
-    if not mine or isinstance(columns.candidate(mine[0]).effect, Smooth):
-        return path
-    first = min(path.index(g) for g in mine)
-    later = {g for g in path[first:] if isinstance(columns.candidate(g).effect, Smooth)}
-    joint = columns.candidate(mine[0]).joint
-    return [g for g in path if g not in later or columns.candidate(g).joint != joint]
 
 
 def gains_of(before: float | Array, after: float | Array) -> Array:

@@ -88,7 +88,7 @@ class Rows:
         model = _on_runs(rows, runs, _dense(rows, slopes))
         torque = _on_runs(rows, runs, [design.torque(j) for j in range(fit.model.n)])
         residual = _on_runs(rows, runs, rows.residuals(fit.values))
-        signals = tuple(SegmentSignals.of(fit, s, model_fixed=model_fixed) for s in segments)
+        signals = tuple(SegmentSignals.of(fit, s) for s in segments)
         store = ColumnStore() if before is None else replace(before.store, of_fit={})
 
         def scan(effect: Effect, joint: int) -> tuple[Array, float]:

@@ -428,8 +428,9 @@ def other_forms(
     """Return effects that may be better than some on a joint, and those in whose place they are.
 
     These are the variants of friction over speed for all of it, where a variant of what is computed
-    along the arm takes the place of its kind only, and for a delay its rivals: hysteresis, filters
-    and delays resemble each other between the points of their grids.
+    along the arm takes the place of its kind only, and for all delays of a joint, or of the arm,
+    each of their rivals: hysteresis, filters and delays resemble each other between the points of
+    their grids.
     """
     own, found = [a for a in accepted if a.joint == joint], []
     alike = [a for a in own if follows_velocity(a.candidate.effect)]
@@ -438,10 +439,11 @@ def other_forms(
         same = [a for a in alike if a.candidate.name == form.name]
         if same or not isinstance(form.effect, ArmEffect):
             found.append(([*same, *alike][0].replaced_by(form, alike), alike))
-    for delay in own:
-        for other in rival_forms(delay, candidates) if is_delay(delay.candidate) else ():
-            beside = [a for a in accepted if a.placement.label == other.placement.label]
-            found.append((replace(other, replaced=(delay,)), [delay, *beside]))
+    delays = [a for a in accepted if is_delay(a.candidate)]
+    for delay in (a for a in delays if a.joint == joint):
+        same = [a for a in delays if a.candidate.joints == delay.candidate.joints]
+        rivals = rival_forms(delay, candidates)
+        found += [(replace(other, replaced=(delay,)), same) for other in rivals]
     return found
 
 

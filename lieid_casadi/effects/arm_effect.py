@@ -38,10 +38,7 @@ class SegmentModel(Protocol):
 
     @property
     def friction_known(self) -> Mask:
-        """Whether the friction of each joint is determined (K, n).
-
-        At rest it is not, but a prediction takes it for zero there.
-        """
+        """Whether the friction of each joint is determined (K, n): at rest it is not."""
 
     @property
     def load(self) -> Array:

@@ -1,9 +1,11 @@
 """Torque and motion that are recorded by different clocks."""
 
+from functools import partial
+
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel
 from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.torque_delay import delayed_change, where_known
+from lieid_casadi.effects.torque_delay import change_where_known, delayed_change
 
 
 @register
@@ -38,5 +40,5 @@ class TimeShift(ArmEffect):
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         delay = float(values[0])
-        change = delayed_change(arm.t, arm.torque, delay)
-        return where_known(change, arm.t, arm.friction_known, delay)[:, :, None]
+        change = partial(delayed_change, arm.t, delay=delay)
+        return change_where_known(arm, slice(None), delay, change)[:, :, None]

@@ -1,5 +1,8 @@
 """A torque that is recorded with a delay."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from lieid_casadi.arrays import Mask
@@ -43,9 +46,9 @@ class TorqueDelay(ArmEffect):
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         delay = float(values[0])
-        change = delayed_change(arm.t, arm.torque[:, [joint]], delay)
-        change = where_known(change, arm.t, arm.friction_known[:, [joint]], delay)
-        return on_joint(change[:, 0], joint, arm.torque.shape[1])
+        change = partial(delayed_change, arm.t, delay=delay)
+        own = change_where_known(arm, slice(joint, joint + 1), delay, change)
+        return on_joint(own[:, 0], joint, arm.torque.shape[1])
 
 
 def delayed_change(t: Array, torque: Array, delay: float) -> Array:
@@ -57,6 +60,15 @@ def delayed_change(t: Array, torque: Array, delay: float) -> Array:
     if abs(delay) < LEAST:
         return (at(t - LEAST) - at(t + LEAST)) / (2.0 * LEAST)
     return (at(t - delay) - torque) / delay
+
+
+def change_where_known(
+    arm: SegmentModel, joints: slice, past: float, change: Callable[[Array], Array]
+) -> Array:
+    """Return a change of the torque (K, n) of joints; that of friction only where it is known."""
+    load = arm.load[:, joints]
+    of_joints = change(arm.torque[:, joints] - load)
+    return change(load) + where_known(of_joints, arm.t, arm.friction_known[:, joints], past)
 
 
 def where_known(change: Array, t: Array, known: Mask, past: float) -> Array:

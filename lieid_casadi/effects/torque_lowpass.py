@@ -1,12 +1,14 @@
 """A torque signal that passed a low-pass filter before it was recorded."""
 
+from functools import partial
+
 import numpy as np
 from scipy.signal import lfilter
 
 from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
 from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
-from lieid_casadi.effects.torque_delay import where_known
+from lieid_casadi.effects.torque_delay import change_where_known
 
 LEAST = 1e-3  # s; below it the column is the derivative, not the difference quotient
 
@@ -64,9 +66,8 @@ class TorqueLowpass(ArmEffect):
 
         Its memory counts as its mean delay, so that it is compared with a delay on the same rows.
         """
-        change = self._filtered_change(arm.t, arm.torque[:, joints], time_constant)
-        delay = self._order * time_constant
-        return where_known(change, arm.t, arm.friction_known[:, joints], delay)
+        change = partial(self._filtered_change, arm.t, time_constant=time_constant)
+        return change_where_known(arm, joints, self._order * time_constant, change)
 
     def _filtered_change(self, t: Array, torque: Array, time_constant: float) -> Array:
         """Return (F_T(τ) − τ)/T, and its limit for small T."""

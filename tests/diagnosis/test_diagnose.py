@@ -1078,12 +1078,13 @@ def test_a_filter_of_torque_is_no_form_of_friction_over_speed():
     assert "torque_lowpass/second_order:2" in forms("torque_lowpass:2")
 
 
-def test_a_rival_of_a_delay_may_take_its_place_and_leaves_it_as_a_rival():
+def test_a_rival_may_take_the_place_of_all_delays_and_leaves_one_as_a_rival():
     hysteresis = Rival("presliding:2", "presliding", (1,), "data")
     shift = Rival("time_shift", "time_shift", (), "data")
     found = [
         accepted_as("torque_delay:2", hysteresis, shift),
         accepted_as("torque_lowpass/common", shift),
+        accepted_as("torque_lowpass/common_second_order", shift),
         accepted_as("time_shift"),
         accepted_as("load_friction:2", hysteresis),
     ]
@@ -1094,4 +1095,5 @@ def test_a_rival_of_a_delay_may_take_its_place_and_leaves_it_as_a_rival():
     form, replaced = forms["presliding:2", 1]
     assert replaced == ["torque_delay:2"]
     assert [rival.label for rival in form.rivals] == ["torque_delay:2", "time_shift"]
-    assert forms["time_shift", 0][1] == ["torque_lowpass/common", "time_shift"]  # not twice
+    of_arm = ["torque_lowpass/common", "torque_lowpass/common_second_order", "time_shift"]
+    assert forms["time_shift", 0][1] == of_arm  # not twice

@@ -90,6 +90,17 @@ def test_a_delay_is_estimated_from_the_moves():
     assert found.steps[0].parameters["delta"] == pytest.approx(0.008, abs=0.2 * STEP)
 
 
+def test_a_delay_is_fitted_to_moves_between_rests():
+    """Late torque after a rest contains friction of the rest, which is not known."""
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    arm = replace(arm, friction=replace(arm.friction, coulomb=4.0 * arm.friction.coulomb))
+    late = arm.with_effects(plant.TorqueDelay(1, delay=0.02))
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset,torque_delay:2")
+    moves = [sampled(late, point_to_point(ROBOT, poses=6, seed=s), seed=s) for s in (3, 4)]
+    delay = lieid.identify(model, moves).effect_coefficients[-1]
+    assert delay == pytest.approx(0.02, abs=0.1 * STEP)
+
+
 @pytest.mark.parametrize(
     ("past", "zero"), [(0.0, range(29, 41)), (0.05, range(29, 46)), (-0.05, range(24, 41))]
 )

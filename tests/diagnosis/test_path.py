@@ -214,25 +214,6 @@ def test_a_part_whose_path_lacks_the_effect_counts_against_it():
     assert some.deviations < 0.9 * folds.deviations(np.array(some.gains), present, 1)[0]
 
 
-def test_an_effect_is_judged_without_a_smooth_function_that_came_after_it_and_contains_it():
-    random = np.random.default_rng(5)
-    own = random.normal(size=(ROWS, 1))
-    effect = Candidate(Placement(make("viscous_asymmetric"), 0), np.zeros((1, 0)))
-    smooth = Candidate(Placement(make("smooth/dq.q2"), 0), np.zeros((1, 0)))
-    pieces = [[(0, own), (1, np.hstack([own + 1e-3 * random.normal(size=own.shape), own**2]))]]
-    columns = assemble([effect, smooth], [0, 1], [0, 0], [1, 2], pieces, [ROWS])
-    residual = random.normal(size=ROWS) + 0.5 * own[:, 0]
-    span = Span.of([random.normal(size=(ROWS, MODEL))], [residual])
-    held = np.array([np.arange(ROWS) * 10 // ROWS == k for k in range(10)])
-    folds = Folds(held, held, 0.0, np.array([100]))
-    paths = Paths(span, columns, folds.out)
-    for order, least in (([0, 1], 3.0), ([1, 0], -np.inf)):
-        slots, _ = judge(paths, folds, order, [order] * 10, {}, np.ones(ROWS, dtype=bool))
-        (found,) = (slot for slot in slots if slot.group == 0)
-        assert found.evidence.deviations > least
-    assert found.evidence.deviations < 2.0  # the function was there before it
-
-
 @pytest.mark.parametrize(("with_all", "expected"), [(1, 0), (0, 1)])
 def test_an_effect_is_in_one_recording_only_if_every_path_says_so(with_all, expected):
     random = np.random.default_rng(5)

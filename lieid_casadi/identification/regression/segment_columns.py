@@ -35,7 +35,6 @@ class ModelAlongSegment:
     parameters: Array  # (10 n + m,): link parameters and effect coefficients
     fitted: bool  # whether the model was fitted to this segment
     shapes: Array  # (s,): shape parameters of the effects
-    unknown_at_rest: bool = False  # whether friction at rest counts as unknown, otherwise as zero
 
     @property
     def t(self) -> Array:
@@ -50,8 +49,7 @@ class ModelAlongSegment:
     @property
     def friction_known(self) -> Mask:
         """Whether the friction of each joint is determined (K, n)."""
-        moving = self.segment.moving
-        return moving if self.unknown_at_rest else np.ones_like(moving)
+        return self.segment.moving
 
     @property
     def _links(self) -> Array:
