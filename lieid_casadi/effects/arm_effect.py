@@ -38,7 +38,10 @@ class SegmentModel(Protocol):
 
     @property
     def friction_known(self) -> Mask:
-        """Whether the friction of each joint is determined (K, n): at rest it is not."""
+        """Whether the friction of each joint is determined (K, n).
+
+        At rest it is not, but a prediction takes it for zero there.
+        """
 
     @property
     def load(self) -> Array:

@@ -49,7 +49,8 @@ class ModelAlongSegment:
     @property
     def friction_known(self) -> Mask:
         """Whether the friction of each joint is determined (K, n)."""
-        return self.segment.moving
+        moving = self.segment.moving
+        return moving if self.fitted else np.ones_like(moving)
 
     @property
     def _links(self) -> Array:
