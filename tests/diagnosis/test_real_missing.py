@@ -7,26 +7,27 @@ import lieid_casadi as lieid
 from lieid_casadi.recording import Processing
 
 
-def diagnosis_of_16_s(cutoff):
-    """Return the diagnosis of the first 16 s of a UR10e, tested on 50 s of other motion."""
+def diagnosis_of_first(seconds, cutoff):
+    """Return the diagnosis of the first seconds of a UR10e, tested on 50 s of other motion."""
     robot = lieid.Robot.from_urdf(UR10E / "ur10e.urdf")
     model = lieid.Model(robot, "coulomb,viscous,offset,armature")
     train, test = (
         lieid.Recording.load(f"{UR10E}/{name}")
-        for name in ("excitation_30s.csv.gz@0:16", "excitation_50s.csv.gz")
+        for name in (f"excitation_30s.csv.gz@0:{seconds}", "excitation_50s.csv.gz")
     )
     return lieid.diagnose(model, train, test, processing=Processing(cutoff=cutoff))
 
 
 @pytest.mark.slow
 @needs(UR10E / "ur10e.urdf")
-def test_presliding_of_most_joints_is_found_on_all_joints_of_a_short_recording():
+@pytest.mark.parametrize(("seconds", "cutoff"), [(16, 9.8), (20, 7.0)])
+def test_presliding_of_most_joints_is_found_on_all_joints_of_short_recordings(seconds, cutoff):
     """Among all candidates, delays and polynomials of joint 6 share its torque.
 
     On the first joint the rows near reversals show it, which count less where friction there is not
     known from other joints.
     """
-    diagnosis = diagnosis_of_16_s(7.0)
+    diagnosis = diagnosis_of_first(seconds, cutoff)
     steps = {step.joint: step for step in diagnosis.steps if step.effect == "presliding"}
     assert set(steps) == set(range(6))
     assert steps[0].confirmed
@@ -38,10 +39,10 @@ def test_presliding_of_most_joints_is_found_on_all_joints_of_a_short_recording()
 @pytest.mark.slow
 @needs(UR10E / "ur10e.urdf")
 @pytest.mark.filterwarnings("ignore::lieid_casadi.errors.LieidWarning")  # 16 s are short
-@pytest.mark.parametrize("cutoff", [4.9, 9.8])
+@pytest.mark.parametrize("cutoff", [4.9, 7.0])
 def test_a_rival_stands_for_an_effect_whose_shape_the_motion_does_not_resolve(cutoff):
     """In the next round it is not certain alone: joint 1 had no friction over speed."""
-    diagnosis = diagnosis_of_16_s(cutoff)
+    diagnosis = diagnosis_of_first(16, cutoff)
     assert "upper end" in dict(diagnosis.rejected)["stribeck:1"]
     (base,) = [s for s in diagnosis.steps if (s.effect, s.joint) == ("viscous_polynomial", 0)]
     assert base.status == "one_of"
