@@ -151,8 +151,9 @@ class State:
 
 
 def elsewhere(candidate: Candidate, others: Sequence[Candidate]) -> int:
-    """Return the number of other joints that have the same effect."""
-    return len({c.joint for c in others if c.name == candidate.name} - {candidate.joint})
+    """Return the number of other joints that have the same effect; a coupling is of two joints."""
+    same = {c.joint for c in others if c.name == candidate.name and not c.effect.couples}
+    return len(same - {candidate.joint})
 
 
 #: Of a state, the effects that have to leave, by label.

@@ -19,7 +19,7 @@ from lieid_casadi.diagnosis.folds import Folds, folds_of, redundancy
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, PathState, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows
-from lieid_casadi.diagnosis.smooth_functions import functions_alike, smooth_candidates
+from lieid_casadi.diagnosis.smooth_functions import cost_of, functions_alike, smooth_candidates
 from lieid_casadi.effects.coulomb import Coulomb
 from lieid_casadi.effects.offset import Offset
 from lieid_casadi.effects.smooth import Smooth
@@ -336,7 +336,9 @@ def _rules(
     more = np.ones(len(columns.size)) if dependence is None else dependence
     independent = np.maximum(count / more, 2.0)
     alike = np.array([_alternatives(rows, c) for c in columns.owners], dtype=float)[columns.owner]
-    cost = columns.parameters * np.log(independent) + 2.0 * np.log(alike)
+    whole = np.array([isinstance(c.effect, Smooth) and c.effect.whole for c in columns.owners])
+    whole = np.asarray(whole, dtype=bool)[columns.owner]
+    cost = cost_of(columns.parameters, independent, whole=whole) + 2.0 * np.log(alike)
     changing = np.array([c.course is not None for c in columns.owners], dtype=bool)[columns.owner]
     cost[changing] = np.maximum(cost[changing], LEAST_CHANGE**2)
     return Rules(

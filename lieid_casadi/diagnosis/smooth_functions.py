@@ -14,8 +14,9 @@ from math import comb
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
+from scipy.special import chdtri
 
-from lieid_casadi.arrays import Array, Indices
+from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.comparison.noise_floor import slow_functions
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.findings import number
@@ -63,7 +64,7 @@ def smooth_candidates(
             scores = np.zeros((len(signals), len(residuals)))
             for k, names in enumerate(signals):
                 columns = _products(names, polynomials) * weight
-                cost = columns.shape[1] * np.log(max(len(weight), 2))
+                cost = cost_of(columns.shape[1], max(len(weight), 2), whole=whole)
                 scores[k] = _gains(columns, outside[own_rows], span.basis[own_rows]) - cost
             of_joint = np.array([not any(map(_of_other, names)) for names in signals], dtype=bool)
             for of_residual in scores.T:
@@ -73,6 +74,17 @@ def smooth_candidates(
                     wanted = [_candidate(rows, signals[k], joint, whole=whole) for k in best]
                     found |= {candidate.label: candidate for candidate in wanted}
     return list(found.values())
+
+
+def cost_of(parameters: float | Array, independent: float | Array, *, whole: bool | Mask) -> Array:
+    """Return what groups of parameters must gain in a path, in a weighted sum of squares.
+
+    That is log N of each (Schwarz, Annals of Statistics 1978). Of a ``whole`` function, beside a
+    model that is kept, it is what noise, which is known there, exceeds with a probability of 1/N:
+    the same for two parameters, and about half of it for ten.
+    """
+    tail = chdtri(parameters, 1.0 / np.asarray(independent))
+    return np.asarray(np.where(whole, tail, parameters * np.log(independent)))
 
 
 def functions_alike(rows: Rows, candidate: Candidate) -> int:

@@ -156,7 +156,10 @@ def mjcf_text(fit: Fit, *, step: float = STEP) -> tuple[str, list[str]]:
         laws.append(law)
         _add_joint(parent, joint, joints[j], passive)
         if j in plays:
-            _add_play(parent, joint, f"{joints[j]}_play", plays[j])
+            # the armature of the actuated joint is then the inertia of the motor alone
+            reach = 0.5 * plays[j]
+            sides = {"range": vector([-reach, reach]), "solreflimit": vector(SIDES)}
+            _add(parent, "joint", name=f"{joints[j]}_play", **_axis(joint), **sides)
         before = joint.home
     _add_link(parent, robot.tool, robot.n)
     _add(parent, "site", name="tool", **_pose(robot.tool))
@@ -203,15 +206,6 @@ def _add_joint(parent: Node, joint: Joint, name: str, passive: PassiveTorques) -
     stated = {key: value for key, value in vars(passive).items() if value}
     attributes |= {key: vector(np.atleast_1d(value)) for key, value in stated.items()}
     _add(parent, "joint", **attributes)
-
-
-def _add_play(parent: Node, joint: Joint, name: str, width: float) -> None:
-    """Add the angle of a link relative to its motor: a joint beside the actuated one.
-
-    The armature of the actuated joint is then the inertia of the motor alone.
-    """
-    sides = {"range": vector([-0.5 * width, 0.5 * width]), "solreflimit": vector(SIDES)}
-    _add(parent, "joint", name=name, **_axis(joint), **sides)
 
 
 def _axis(joint: Joint) -> dict[str, str]:

@@ -29,7 +29,6 @@ JUDGED_WITHOUT_NIGHT = 0.05  # p-value of a change from which on it is not tried
 CONFIDENCE = 0.95  # of the interval of a slope
 FEWEST_FREEDOM, MOST_FREEDOM = 4.0, 15.0  # of the prior of the scatter
 LEAST_SCATTER = 0.3  # in units of the nominal standard deviation
-MAD_TO_STD = 1.4826
 LEAST_TEMPERATURE_RANGE = 0.5  # °C
 #: Variance between motions relative to that between nights, before it is estimated, the number
 #: of pairs of nights that this counts as, and the largest value.
@@ -117,7 +116,7 @@ def scatter_prior(
     variances = np.maximum(variances, 1e-12)
     half = 0.5 * freedoms
     shifted = np.log(variances) - digamma(half) + np.log(half)
-    spread = (MAD_TO_STD * float(median_abs_deviation(shifted))) ** 2
+    spread = float(median_abs_deviation(shifted, scale="normal")) ** 2
     excess = spread - float(np.mean(polygamma(1, half)))
     freedom = FEWEST_FREEDOM
     if len(pairs) >= 5:
@@ -172,7 +171,7 @@ def temperature_prior(series: Sequence[NightSeries]) -> TemperaturePrior | None:
     if not slopes:
         return None
     middle = float(np.median(slopes))
-    spread = max(MAD_TO_STD * float(median_abs_deviation(slopes)), float(np.median(errors)), 1e-9)
+    spread = float(max(median_abs_deviation(slopes, scale="normal"), np.median(errors), 1e-9))
     recorded = np.concatenate([each.temperature for each in series if each.has_temperature])
     return TemperaturePrior(middle, spread, middle**2 * float(np.var(recorded)))
 

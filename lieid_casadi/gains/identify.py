@@ -329,7 +329,9 @@ def _result(
     gains, std = solution.gains, np.sqrt(np.diag(solution.covariance)[:n])
     rms = np.array([np.sqrt(np.mean(e**2)) if len(e) else np.nan for e in solution.residuals])
     moves = np.array([len(i) > 0 for i in solution.currents])
-    identifiable = ~_involved(solution.hidden)[:n] & moves
+    size = np.abs(solution.hidden)  # of parameters in directions without information
+    involved = np.any(size > ZERO * size.max(axis=1, initial=0.0, keepdims=True), axis=0)
+    identifiable = ~involved[:n] & moves
     _require_arm(model, solution, rms, recordings)
     _require_load(gains, std, identifiable, mass)
     return DriveGains(
@@ -346,12 +348,6 @@ def _result(
         loaded=tuple(Source.of(r) for r in recordings[1]),
         warnings=(),
     )
-
-
-def _involved(hidden: Array) -> Mask:
-    """Mark the parameters that some direction without information involves."""
-    largest = np.abs(hidden).max(axis=1, initial=0.0, keepdims=True)
-    return np.asarray(np.any(np.abs(hidden) > ZERO * largest, axis=0))
 
 
 def _not_identified(

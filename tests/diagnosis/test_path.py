@@ -14,6 +14,7 @@ from lieid_casadi.diagnosis.folds import Folds
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
 from lieid_casadi.diagnosis.search import LEAST_SUPPORT
+from lieid_casadi.diagnosis.smooth_functions import cost_of
 from lieid_casadi.effects import Placement, make
 
 ROWS, MODEL, GROUPS = 400, 5, 12
@@ -288,6 +289,19 @@ def test_a_path_ends_where_groups_replace_each_other(monkeypatch):
     paths = Paths(Span.of(model, np.split(residual, 2)), columns, parts().out)
     monkeypatch.setattr(path, "_exchanged", lambda state, *_: state.without(state.groups[-1]))
     assert len(forward(paths, -1, rules(columns))) == 1
+
+
+@pytest.mark.parametrize("count", [2, 10, 16])
+def test_noise_seldom_gains_the_cost_of_a_function_beside_a_kept_model(count):
+    random, rows, runs = np.random.default_rng(count), 400, 20_000
+    columns = np.linalg.qr(random.normal(size=(rows, count)))[0]
+    gains = ((random.normal(size=(runs, rows)) @ columns) ** 2).sum(axis=1)
+    seldom = 25  # in place of 400 rows, so that noise does so often enough to be counted
+    part = np.mean(gains > cost_of(count, seldom, whole=True))
+    assert part == pytest.approx(1.0 / seldom, abs=0.005)
+    plain = cost_of(count, rows, whole=False)
+    assert plain == pytest.approx(count * np.log(rows))
+    assert cost_of(count, rows, whole=True) <= plain * (1.0 + 1e-9)
 
 
 def test_a_dead_band_counts_where_friction_neither_reverses_nor_rests():

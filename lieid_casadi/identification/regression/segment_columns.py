@@ -134,10 +134,8 @@ class ModelAlongSegment:
 
     @cached_property
     def _gravity_by_axis(self) -> Array:
-        return np.stack(
-            [arm.gravity(self.segment.q, self._links) for arm in _in_gravity(self.compiled)],
-            axis=-1,
-        )
+        arms = _in_gravity(self.compiled)
+        return np.stack([arm.gravity(self.segment.q, self._links) for arm in arms], axis=-1)
 
     def jacobian(self) -> Array:
         """Return the tool's Jacobian (K, 6, n), [ω; v], base axes."""
