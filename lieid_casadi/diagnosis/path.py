@@ -391,6 +391,8 @@ def _exchanged(state: PathState, rules: Rules, refused: Mask) -> PathState:
     """Return the state with each group exchanged for the best one in its place, if it is better."""
     own_size = np.zeros(len(rules.usable), dtype=bool)
     for group in state.groups:
+        if state.paths.span.of_prior and not rules.usable[group]:
+            continue  # between two points of its grid a large change is nearer to a function
         rest = state.without(group)
         own_size[:] = rules.usable
         own_size[group] = True
