@@ -11,6 +11,7 @@ from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import assemble
 from lieid_casadi.diagnosis.evidence import HeldOut, judge
 from lieid_casadi.diagnosis.folds import Folds
+from lieid_casadi.diagnosis.gates import elsewhere
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
 from lieid_casadi.diagnosis.search import LEAST_SUPPORT
@@ -302,6 +303,14 @@ def test_noise_seldom_gains_the_cost_of_a_function_beside_a_kept_model(count):
     plain = cost_of(count, rows, whole=False)
     assert plain == pytest.approx(count * np.log(rows))
     assert cost_of(count, rows, whole=True) <= plain * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize(("name", "others"), [("presliding", 2), ("transmission_coupling", 0)])
+def test_couplings_of_other_joints_are_no_evidence_for_one(name, others):
+    effect, none = make(name), np.zeros((1, 0))
+    sources = [(j + 1) % 3 if effect.couples else None for j in range(3)]
+    every = [Candidate(Placement(effect, j, source), none) for j, source in enumerate(sources)]
+    assert elsewhere(every[0], every) == others
 
 
 def test_a_dead_band_counts_where_friction_neither_reverses_nor_rests():
