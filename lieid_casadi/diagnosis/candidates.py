@@ -267,12 +267,13 @@ def _has_signals(effect: Effect, segments: Sequence[Processed], *, commanded: bo
 
 
 def is_form(effect: Effect) -> bool:
-    """Return whether an effect is a variant of friction over speed.
+    """Return whether an effect is a variant of friction over speed, or of a filter of the torque.
 
     Effects are compared with it; a path does not choose it.
     """
     variant = effect.option and not (effect.replaces or isinstance(effect, Smooth))
-    return bool(variant) and follows_velocity(effect)
+    own = isinstance(effect, ArmEffect) and not effect.whole_arm
+    return bool(variant) and (own or follows_velocity(effect))
 
 
 def is_delay(candidate: Candidate) -> bool:
@@ -287,8 +288,8 @@ def follows_temperature(effect: Effect) -> bool:
 
 def follows_velocity(effect: Effect) -> bool:
     """Return whether an effect is a function of its joint's velocity alone."""
-    alone = not (effect.states or effect.couples or effect.whole_arm)
-    return alone and {"dq", "sign"} >= set(effect.signals)
+    alone = not (effect.states or effect.couples or isinstance(effect, ArmEffect))
+    return alone and bool(effect.signals) and {"dq", "sign"} >= set(effect.signals)
 
 
 def follows_commands(robot: Robot, segments: Sequence[Processed]) -> bool:

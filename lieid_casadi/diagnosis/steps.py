@@ -433,11 +433,11 @@ def other_forms(
     their grids.
     """
     own, found = [a for a in accepted if a.joint == joint], []
-    alike = [a for a in own if follows_velocity(a.candidate.effect)]
-    forms = [c for c in candidates.values() if is_form(c.effect) and c.joint == joint]
-    for form in forms if alike else ():
-        same = [a for a in alike if a.candidate.name == form.name]
-        if same or not isinstance(form.effect, ArmEffect):
+    speed = [a for a in own if follows_velocity(a.candidate.effect)]
+    for form in (c for c in candidates.values() if is_form(c.effect) and c.joint == joint):
+        same = [a for a in own if a.candidate.name == form.name]
+        alike = same if isinstance(form.effect, ArmEffect) else speed
+        if alike:
             found.append(([*same, *alike][0].replaced_by(form, alike), alike))
     delays = [a for a in accepted if is_delay(a.candidate)]
     for delay in (a for a in delays if a.joint == joint):

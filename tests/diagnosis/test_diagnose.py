@@ -1076,6 +1076,12 @@ def test_a_filter_of_torque_is_no_form_of_friction_over_speed():
 
     assert forms("stribeck:2") == ["stribeck/exponent:2"]
     assert "torque_lowpass/second_order:2" in forms("torque_lowpass:2")
+    assert not forms("torque_gain:2")
+    beside = ["torque_lowpass:2", "viscous_polynomial:2", "torque_gain:2", "encoder_offset:2"]
+    found = other_forms([accepted_as(label) for label in beside], 1, FORMS)
+    of = {form.placement.label: [each.placement.label for each in own] for form, own in found}
+    assert of["torque_lowpass/second_order:2"] == ["torque_lowpass:2"]
+    assert of["stribeck/exponent:2"] == ["viscous_polynomial:2"]
 
 
 def test_a_rival_may_take_the_place_of_all_delays_and_leaves_one_as_a_rival():

@@ -429,21 +429,23 @@ class Design:
             self._loaded = own.tobytes(), [signals | {"load": load} for signals, load in pairs]
         return self._loaded[1]
 
-    def arm_rows(self, shapes: Array, links: Array | None) -> list[Array]:
+    def arm_rows(self, shapes: Array, links: Array | None, *, kept: bool = True) -> list[Array]:
         """Return the columns per joint (R, a) of effects that are computed along a segment."""
         key = shapes.tobytes(), None if links is None else links.tobytes()
-        if "" not in self._last or self._last[""][0] != key:
-            wanted = [int(k) for e in self.of_arm for k in e.coefficients.start + e.kept]
-            parts = []
-            for segment in self.segments:
-                raw = np.zeros((len(segment), self.model.n, len(wanted)))
-                if links is not None:  # without a load there are no columns either
-                    own = model_along(self.compiled, segment, shapes, links).arm_columns()
-                    raw = np.stack([own[k] for k in wanted], axis=-1)
-                parts.append(segment.filter(raw.reshape(len(raw), -1)).reshape(-1, *raw.shape[1:]))
-            joints = range(self.model.n)
-            self._last[""] = key, [self.on_joint(j, [p[:, j] for p in parts]) for j in joints]
-        return self._last[""][1]
+        if "" in self._last and self._last[""][0] == key:
+            return self._last[""][1]
+        wanted = [int(k) for e in self.of_arm for k in e.coefficients.start + e.kept]
+        parts = []
+        for segment in self.segments:
+            raw = np.zeros((len(segment), self.model.n, len(wanted)))
+            if links is not None:  # without a load there are no columns either
+                own = model_along(self.compiled, segment, shapes, links).arm_columns()
+                raw = np.stack([own[k] for k in wanted], axis=-1)
+            parts.append(segment.filter(raw.reshape(len(raw), -1)).reshape(-1, *raw.shape[1:]))
+        found = [self.on_joint(j, [p[:, j] for p in parts]) for j in range(self.model.n)]
+        if kept:
+            self._last[""] = key, found
+        return found
 
     def on_joint(self, joint: int, values: Sequence[Array]) -> Array:
         """Return filtered values (M, …) of each segment on the rows (R, …) of a joint."""

@@ -274,7 +274,7 @@ def _slopes_along_the_arm(
         if own:
             step = np.zeros(len(shapes))
             step[own] = steps[own]
-            moved = design.arm_rows(shapes + step, links)
+            moved = design.arm_rows(shapes + step, links, kept=False)
             for k in own:
                 j = design.model.shapes[k].joint
                 change = (moved[j] - here[j])[:, joints == j] / step[k]
