@@ -83,7 +83,6 @@ class ShapeScan:
 
     def __init__(self, design: Design, ranges: ShapeRange) -> None:
         self.design = design
-        self._ranges = ranges
         self.members = _members(design, ranges)
         design.forget_other_grids({grid_key(m.effect, m.grid) for m in self.members})
 
