@@ -90,8 +90,7 @@ def compile(
     >>> arm.regressor([[0.1, 0.2]], [[0.0, 0.0]], [[0.0, 0.0]]).shape
     (1, 2, 20)
     """
-    made = as_model(model)
-    return Compiled(made, threads=threads, lanes=lanes)
+    return Compiled(as_model(model), threads=threads, lanes=lanes)
 
 
 class Compiled:

@@ -30,6 +30,7 @@ SMALLEST_TAIL = 1e-300  # probability of a deviation: the inverse of the distrib
 FALSE_EFFECTS = 0.1
 OTHER_JOINTS = 2  # that have an effect, from which less evidence is enough on a further joint
 BEYOND = 10.0  # times the median error of the parts: a larger one counts as this
+Key = int | tuple[str, int]  # a group of columns, or a kind of friction on a joint
 ALIKE = 0.5  # part of an effect's torque that a group must be able to replace to count as a rival
 
 
@@ -128,18 +129,16 @@ def judge(
 ) -> tuple[tuple[Slot, ...], Array]:
     """Return the effects of the path on all rows with their gains on the held-out parts.
 
-    Beside them the sum of squared errors (K, n) of each held-out part and joint.
-
-    That something changed between recordings is the stronger claim: an effect in one of them is
-    that of the arm if a path without some part has this in its place.
+    Beside them the sum of squared errors (K, n) of each held-out part and joint. That something
+    changed between recordings is the stronger claim: an effect in one of them is that of the arm if
+    a path without some part has this in its place.
 
     ``parts`` are the paths that do not use each part. ``friction`` (R, n) is the change of torque
     if the dry friction of each joint is ``late`` or ``early``, or by that at ``rest``. A delay must
     explain more than the first: a joint that sticks for less than a sample at its reversals looks
     the same there. A dead band must explain more than all: friction of simulators is early
-    (MuJoCo's ``solreffriction``), and a joint at rest needs no torque of its drive either. Since
-    these columns describe friction at reversals and rest roughly, what it explains on the rows
-    ``steady`` (R + k,), away from both, counts.
+    (MuJoCo's ``solreffriction``), and a joint at rest needs no torque of its drive either. As these
+    columns are rough, what it explains on the rows ``steady`` (R + k,), away from both, counts.
     """
     span, columns = paths.span, paths.columns
     if span.of_prior:
@@ -147,9 +146,7 @@ def judge(
     every = [*dict.fromkeys([*whole, *(g for path in parts for g in path)])]
     outside = dict(zip(every, paths.all_outside(every), strict=True))
     n = len(span.ends) - 1
-    places = {kind: [-1 - k * n - j for j in range(n)] for k, kind in enumerate(friction)}
-    for kind, columns_of in friction.items():
-        outside |= {g: span.outside(columns_of[:, [j]]) for j, g in enumerate(places[kind])}
+    frictions = {(k, j): span.outside(x[:, [j]]) for k, x in friction.items() for j in range(n)}
     together = np.hstack([np.zeros((len(span.residual), 0)), *(outside[g] for g in whole)])
     both = solved(together.T @ together, together.T @ span.residual)
     ends = np.cumsum([outside[g].shape[1] for g in whole])
@@ -160,49 +157,58 @@ def judge(
     squares = np.zeros((folds.count, n + 1))
     before, after = np.zeros((2, len(whole), folds.count, n + 1))
     for k, path in enumerate(parts):
-        frictions = [g for own in places.values() for g in own]
-        held = HeldOut(span, folds, k, {g: outside[g] for g in (*path, *frictions)})
+        held = HeldOut(span, folds, k, {g: outside[g] for g in path} | frictions)
         of_path = held.errors(path)
         squares[k] = held.squares(of_path)
         for e, group in enumerate(whole):
-            mine = members[k][group]
-            joints = np.flatnonzero(columns.reach[:, group])
-            own = [*joints, n]
-            kinds = friction.keys() & columns.candidate(group).effect.like_uncertain_friction
-            beside = [places[kind][j] for kind in kinds for j in joints]
-            at = steady if "rest" in kinds else None
+            mine, joints = members[k][group], np.flatnonzero(columns.reach[:, group])
+            alike = columns.candidate(group).effect.like_uncertain_friction
+            kinds = [kind for kind in friction if kind in alike]
+            beside = [(kind, int(j)) for kind in kinds for j in joints]
             complete = held.errors([*path, *beside]) if beside else of_path
             rest = [g for g in path if g not in mine]
             without = held.errors([*rest, *beside]) if mine else complete
             # a part whose path lacks the effect counts with what the effect would be
             change = without - complete if mine else held.on_rows(torque[group])
-            less, more = held.squares(without, at), held.squares(complete, at)
-            error, size = more[own].sum(), held.squares(change, at)[own].sum()
-            gains[e, k] = gains_of(less[own].sum(), error)
-            expected[e, k] = gains_of(error + size, error)
+            at = steady if "rest" in kinds else None
+            less, more, size = (held.squares(x, at) for x in (without, complete, change))
+            left, error, moved = (x[[*joints, n]].sum() for x in (less, more, size))
+            gains[e, k], expected[e, k] = gains_of(left, error), gains_of(error + moved, error)
             before[e, k], after[e, k] = less, more
     found = []
-    for e, group in enumerate(whole):
-        own = [columns.owner[group] in columns.owner[list(m[group])] for m in members]
-        others = (g for m in members for g in m[group] if columns.owner[g] != columns.owner[group])
-        instead = tuple(dict.fromkeys(others))
-        less, more = (x[e, :, :n].sum(axis=0) for x in (before, after))
-        left = np.where(columns.reach[:, group], more / np.maximum(less, 1e-300), np.inf)
-        joint = int(np.argmin(left))
-        evidence = Evidence(
-            tuple(map(float, gains[e])),
-            tuple(map(float, expected[e])),
-            *folds.deviations(gains[e], expected[e], joint),
-            float(np.mean(own)),
-            float(np.mean([bool(m[group]) for m in members])),
-            int(folds.independent[joint]),
-        )
-        less, more = (x[e][:, [joint, n]].sum(axis=1) for x in (before, after))
-        found.append(Slot(group, evidence, less, more, instead, values[group], joint))
+    for group, *of_parts in zip(whole, gains, expected, before, after, strict=True):
+        stand = [own[group] for own in members]
+        found.append(_slot(paths, folds, group, values[group], stand, *of_parts))
     of_arm = list(dict.fromkeys(_of_the_arm(slot, columns) for slot in found))
     if of_arm != list(whole):
         return judge(paths, folds, of_arm, parts, friction, steady)
     return tuple(found), squares
+
+
+def _slot(
+    paths: Paths, folds: Folds, group: int, values: Array, stand: list[tuple[int, ...]], *of: Array
+) -> Slot:
+    """Return an effect, with what stands for it in each of K parts.
+
+    ``of`` the parts are its gains (K,), those expected, and errors (K, n + 1) without and with it.
+    """
+    gains, expected, before, after = of
+    columns, n = paths.columns, before.shape[1] - 1
+    own = [columns.owner[group] in columns.owner[list(mine)] for mine in stand]
+    others = (g for mine in stand for g in mine if columns.owner[g] != columns.owner[group])
+    less, more = (x[:, :n].sum(axis=0) for x in (before, after))
+    left = np.where(columns.reach[:, group], more / np.maximum(less, 1e-300), np.inf)
+    joint = int(np.argmin(left))
+    evidence = Evidence(
+        tuple(map(float, gains)),
+        tuple(map(float, expected)),
+        *folds.deviations(gains, expected, joint),
+        float(np.mean(own)),
+        float(np.mean([bool(mine) for mine in stand])),
+        int(folds.independent[joint]),
+    )
+    less, more = (x[:, [joint, n]].sum(axis=1) for x in (before, after))
+    return Slot(group, evidence, less, more, tuple(dict.fromkeys(others)), values, joint)
 
 
 def shortened(
@@ -260,7 +266,7 @@ class HeldOut:
     place they moved: how far they are from the prior counts, too, with an equal part in each part.
     """
 
-    def __init__(self, span: Span, folds: Folds, part: int, columns: Mapping[int, Array]) -> None:
+    def __init__(self, span: Span, folds: Folds, part: int, columns: Mapping[Key, Array]) -> None:
         q, further = span.basis, span.of_prior
         out = np.pad(folds.out[part], (0, further))
         held = np.pad(folds.held[part], (0, further), constant_values=True)
@@ -284,7 +290,7 @@ class HeldOut:
             g: np.arange(a, a + w) for g, a, w in zip(columns, starts, widths, strict=False)
         }
 
-    def errors(self, groups: Sequence[int]) -> Array:
+    def errors(self, groups: Sequence[Key]) -> Array:
         """Return the errors of the held-out rows, and of a prior, of the model with some groups."""
         error = self._held[:, 0]
         if groups:

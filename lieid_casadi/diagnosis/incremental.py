@@ -30,9 +30,7 @@ class IncrementalEffect(Effect):
         self._effect, self._replaced, self._companions = effect, replaced, companions
         every = (effect, *replaced, *companions)
         self.signals = tuple({signal for each in every for signal in each.signals})
-        self.coefficients = effect.coefficients
-        for companion in companions:
-            self.coefficients += companion.coefficients
+        self.coefficients = sum((c.coefficients for c in companions), effect.coefficients)
 
     def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
         """Return the columns of the change."""

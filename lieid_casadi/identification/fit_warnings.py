@@ -200,8 +200,7 @@ def limits_of_drives(design: Design, rows: Rows) -> list[LieidWarning]:
     errors = [s.command_error for s in design.segments]
     found: dict[int, float] = {}
     for j, own in enumerate(rows.joints):
-        count = own.matrix.shape[1]
-        if j in have or len(own.torque) < ROWS_FOR_LIMIT * count:
+        if j in have or len(own.torque) < ROWS_FOR_LIMIT * own.matrix.shape[1]:
             continue
         error = [e[:, j : j + 1] for e in errors if e is not None]
 

@@ -253,8 +253,7 @@ class Screen:
         gravity = self.gravity if correction.gravity is None else correction.gravity
         if correction.positions_stay:
             return np.asarray(self.rigid[0] + np.tensordot(gravity, self.rigid[1:], axes=1))
-        motion = correction.of_motion(self.thin)
-        return self.arm.columns(*motion, gravity)
+        return self.arm.columns(*correction.of_motion(self.thin), gravity)
 
     @cached_property
     def design(self) -> plain_fit.Design:

@@ -226,8 +226,7 @@ def _next_commands(commands: list[tuple[str, str]]) -> list[Section]:
 
 
 def _after_comparison(fit: Fit, comparison: Comparison) -> list[tuple[str, str]]:
-    ratio = comparison.over_noise
-    if not np.any(np.nan_to_num(ratio) > BEYOND_NOISE):
+    if not np.any(np.nan_to_num(comparison.over_noise) > BEYOND_NOISE):
         return [("use the model", "lieid export FIT --to c -o code")]
     names = [
         [s.name or "REC" for s in part]
