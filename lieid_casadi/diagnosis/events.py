@@ -93,11 +93,10 @@ def standstill_events(robot: Robot, segments: Sequence[Processed]) -> tuple[Even
         return ()
     first, last = segments[0], segments[-1]
     name = first.recording.name or "recording"
+    verb, them = ("moves", "it") if still.sum() == 1 else ("move", "them")
+    consequence = f"effects on {them} cannot be identified and are not searched for"
     if still.all():
         consequence = "no effect can be identified; record a motion of the joints"
-    else:
-        consequence = "effects on them cannot be identified and are not searched for"
-    verb = "moves" if still.sum() == 1 else "move"
     sentence = (
         f"{joints_text(still).capitalize()} {verb} less than {LEAST_MOTION:g} rad: {consequence}."
     )
