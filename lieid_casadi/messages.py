@@ -1,4 +1,4 @@
-"""How messages write joints, names and texts from files."""
+"""How messages write joints, numbers, names and texts from files."""
 
 from __future__ import annotations
 
@@ -11,6 +11,11 @@ def joints_text(joints: Iterable[object]) -> str:
     """Return ``joint 2`` or ``joints 2, 3`` for a mask over the joints."""
     numbers = [str(index + 1) for index in np.nonzero(np.asarray(list(joints)))[0]]
     return f"joint{'s' if len(numbers) > 1 else ''} {', '.join(numbers)}"
+
+
+def in_unit(number: str, unit: str) -> str:
+    """Return a number with its unit; that of a ratio, 1, is not written."""
+    return number if unit == "1" else f"{number} {unit}"
 
 
 def names_text(names: Sequence[str], most: int = 8) -> str:

@@ -23,6 +23,7 @@ from lieid_casadi.identification.regression.variable_projection import (
     ShapeRange,
     command_error_range,
 )
+from lieid_casadi.messages import in_unit
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
 from lieid_casadi.recording.conversion import is_torque_of_laws
@@ -317,7 +318,7 @@ def implausible_value(
 ) -> str | None:
     """A coefficient outside the bounds that physics sets, or larger than on any real arm."""
     for coefficient, value in zip(candidate.effect.coefficients, values, strict=False):
-        text = f"{coefficient.name} = {value:.3g} {coefficient.unit} is"
+        text = f"{coefficient.name} = {in_unit(f'{value:.3g}', coefficient.unit)} is"
         if not coefficient.lower <= value <= coefficient.upper:
             return f"{text} physically implausible"
         if abs(value) > coefficient.limit:
@@ -333,10 +334,11 @@ def unresolved_shape(
         least, _ = shape_limits(shape, segments, candidate.joint)
         if shape.data is not None:
             continue
+        size = f"{shape.name} = {in_unit(f'{value:.2g}', shape.unit)}"
         if value >= shape.upper * (1.0 - AT_BOUND):
-            return f"{shape.name} = {value:.2g} {shape.unit} is at the upper end of its range"
+            return f"{size} is at the upper end of its range"
         if value < LEAST_SHAPE * least or value <= shape.lower * (1.0 + AT_BOUND):
-            return f"{shape.name} = {value:.2g} {shape.unit} is below what this motion can resolve"
+            return f"{size} is below what this motion can resolve"
     return None
 
 

@@ -17,6 +17,7 @@ from lieid_casadi.errors import BoundWarning, EffectError, LieidWarning
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.identify import Method
 from lieid_casadi.json_numbers import numbers_or_none
+from lieid_casadi.messages import in_unit
 from lieid_casadi.model import Model
 from lieid_casadi.plot_style import Axes, Figure
 from lieid_casadi.recording import Recording, process
@@ -171,7 +172,7 @@ def _doubtful(fit: Fit, added: Sequence[Placement]) -> list[LieidWarning]:
             )
         else:
             continue
-        size = f"{parameter.label} = {value:.3g} ± {std:.2g} {parameter.unit}"
+        size = f"{parameter.label} = {in_unit(f'{value:.3g} ± {std:.2g}', parameter.unit)}"
         found.append(BoundWarning(f"{size} is {why}"))
     return found
 

@@ -37,9 +37,7 @@ class IncrementalEffect(Effect):
         own = list(self._effect.columns(s, shape))
         for replaced in self._replaced:
             own[0] = own[0] - replaced.columns(s, {})[0]
-        for companion in self._companions:
-            own += companion.columns(s, {})
-        return own
+        return own + [c for each in self._companions for c in each.columns(s, {})]
 
     def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
         """Return the states after a step; ``before`` contains those at its beginning."""

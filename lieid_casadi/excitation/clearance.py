@@ -206,8 +206,7 @@ def covering_balls(capsule: Capsule) -> list[tuple[Array, float]]:
     radius = float(np.hypot(capsule.radius, 0.5 * length / pieces))
     shares = (np.arange(pieces) + 0.5) / pieces
     balls = [(capsule.start + s * (capsule.end - capsule.start), radius) for s in shares]
-    ends = [(capsule.start, capsule.radius), (capsule.end, capsule.radius)]
-    return balls + ends
+    return [*balls, (capsule.start, capsule.radius), (capsule.end, capsule.radius)]
 
 
 def _outside_box(point: ca.SX, low: Array, high: Array) -> ca.SX:

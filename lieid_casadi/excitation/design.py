@@ -220,8 +220,7 @@ class ExcitationProblem:
         start = np.ravel(0.9 * z / used[:, None])
         constraints = self.constraints(1)
         for _ in range(6):
-            excess = constraints.excess(constraints.sampled.motion(start))
-            if excess.max() <= 0.3:
+            if constraints.excess(constraints.sampled.motion(start)).max() <= 0.3:
                 break
             start = 0.75 * start
         return start

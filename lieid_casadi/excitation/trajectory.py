@@ -197,8 +197,7 @@ class SampledBasis:
 
     def gradient(self, gradients: Array) -> Array:
         """Return ∂f/∂z (n d,) of gradients (n, 3, N) with respect to the motion."""
-        n = self.parametrization.n
-        return np.ravel(gradients.reshape(n, 1, -1) @ self._flat)
+        return np.ravel(gradients.reshape(self.parametrization.n, 1, -1) @ self._flat)
 
 
 def csv_text(motion: MotionSamples, checked: Sequence[str], unchecked: Sequence[str]) -> str:

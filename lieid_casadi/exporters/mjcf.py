@@ -116,8 +116,7 @@ def notes_of(fit: Fit, friction: Sequence[LinearFriction], plays: Sequence[Play]
             "command delays are attributes of the actuators, which MuJoCo 4.0 has; if ctrl is held "
             "for an interval between commands, as in the recordings, subtract half of it"
         )
-    relative = [drive for drive in robot.drives or () if drive.relative]
-    if relative:
+    if any(drive.relative for drive in robot.drives or ()):
         notes.append(
             "the drive stiffness K is unknown: masses, inertias and torques are divided by it, "
             "and kp is 1; motion under commands is the same, forces are not in N"
@@ -140,8 +139,7 @@ def mjcf_text(fit: Fit, *, step: float = STEP) -> tuple[str, list[str]]:
     _add(root, "compiler", angle="radian", autolimits="true")
     gravity = vector(robot.gravity)
     _add(root, "option", timestep=number(step), integrator=INTEGRATOR, gravity=gravity)
-    world = _add(root, "worldbody")
-    parent, before = world, np.eye(4)
+    parent, before = _add(root, "worldbody"), np.eye(4)
     names = _unique([joint.link_name or f"{joint.name}_link" for joint in robot.joints])
     joints = _unique([joint.name for joint in robot.joints])
     plays = {play.joint: play.width for play in plays_of(fit)}

@@ -262,6 +262,5 @@ class ArrayFunction:
                 elif code == ca.OP_OUTPUT:
                     results[target[0]] = work[arguments[0]]
                 else:
-                    operands = (work[a] for a in arguments)
-                    work[target[0]] = _OPERATIONS[code](*operands)
+                    work[target[0]] = _OPERATIONS[code](*(work[a] for a in arguments))
         return results

@@ -42,8 +42,7 @@ class Frame:
         q = ca.SX.sym("q", self.joints)
         moving = closed_form.jacobian(self.robot, Motion.of(q[: self.robot.n]))
         still = ca.SX(6, self.joints - self.robot.n)
-        matrix = ca.horzcat(moving, still)
-        return named_function("jacobian", {"q": q}, {"J": matrix})
+        return named_function("jacobian", {"q": q}, {"J": ca.horzcat(moving, still)})
 
 
 def homogeneous(pose: Pose) -> ca.SX:

@@ -22,6 +22,7 @@ from lieid_casadi.fleet.history import History, left_beside
 from lieid_casadi.fleet.night_result import Finding
 from lieid_casadi.fleet.recordings import local_copy
 from lieid_casadi.identification import Fit
+from lieid_casadi.messages import in_unit
 
 #: What to do about an effect, or about a kind of effects by a part of their name.
 ACTIONS = {
@@ -296,8 +297,7 @@ def _limit_dates(arm: ArmHistory, item: judging.ChangedQuantity) -> list[date | 
 
 
 def _amount(change: float, std: float | None, unit: str) -> str:
-    shown = "" if unit == "1" else f" {unit}"
-    return f"{change:+.3g}{shown}" if std is None else f"{change:+.3g} ± {std:.2g}{shown}"
+    return in_unit(f"{change:+.3g}" if std is None else f"{change:+.3g} ± {std:.2g}", unit)
 
 
 COLUMNS = ", ".join(Alarm.__dataclass_fields__)

@@ -34,6 +34,7 @@ from lieid_casadi.identification.regression.variable_projection import (
     minimize_shapes,
 )
 from lieid_casadi.json_numbers import number_or_none
+from lieid_casadi.messages import in_unit
 from lieid_casadi.model import Model, Parameter
 from lieid_casadi.plot_style import Axes, Figure
 from lieid_casadi.recording import Processing, Recording
@@ -318,12 +319,13 @@ def _bounds(fit: FrictionFit) -> Iterator[LieidWarning]:
     for shape, value, at_end in zip(fit.model.shapes, fit.shapes, at_bound, strict=True):
         if at_end:
             yield BoundWarning(
-                f"{shape.label} is at its bound {value:.3g} {shape.unit} (range "
+                f"{shape.label} is at its bound {in_unit(f'{value:.3g}', shape.unit)} (range "
                 f"{shape.lower:g} to {shape.upper:g}); the curve shows little of this effect"
             )
     for column, value in zip(fit.model.columns, fit.coefficients, strict=True):
         if np.isclose(value, column.lower) or np.isclose(value, column.upper):
-            yield BoundWarning(f"{column.label} is at its bound {value:.3g} {column.unit}")
+            size = in_unit(f"{value:.3g}", column.unit)
+            yield BoundWarning(f"{column.label} is at its bound {size}")
 
 
 def _not_identifiable(fit: FrictionFit, hidden: Sequence[Array]) -> Iterator[LieidWarning]:

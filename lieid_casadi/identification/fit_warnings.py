@@ -35,6 +35,7 @@ from lieid_casadi.identification.regression.least_squares import (
     name_direction,
 )
 from lieid_casadi.identification.regression.variable_projection import resolved_range
+from lieid_casadi.messages import in_unit
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording, process
 from lieid_casadi.robot import Robot
@@ -122,7 +123,7 @@ def bounds(design: Design, least: FitState, state: FitState) -> list[LieidWarnin
                 what = f"is limited by its bound; least squares gives {free:.3g}, outside of"
             found.append(
                 BoundWarning(
-                    f"{parameter.label} = {value:.3g} {parameter.unit} {what} "
+                    f"{parameter.label} = {in_unit(f'{value:.3g}', parameter.unit)} {what} "
                     f"[{parameter.lower:g}, {parameter.upper:g}]: another effect is "
                     "missing from the model, or this effect is not present"
                 )
@@ -133,9 +134,10 @@ def bounds(design: Design, least: FitState, state: FitState) -> list[LieidWarnin
             shape = model.shapes[k]
             if not shape.fitted:
                 continue
+            size = in_unit(f"{state.shapes[k]:.3g}", shape.unit)
             found.append(
                 BoundWarning(
-                    f"{shape.label} reached its bound {state.shapes[k]:.3g} {shape.unit} "
+                    f"{shape.label} reached its bound {size} "
                     f"(range {ranges.lower[k]:.4g} to {ranges.upper[k]:.4g}); the effect is "
                     "probably not present on this joint, or the recordings do not show it"
                 )

@@ -142,8 +142,7 @@ def diagnosis_summary(diagnosis: lieid.Diagnosis) -> str:
 def extension_report(extension: Extension) -> str:
     """Return the HTML report of a fit to which effects were added."""
     fit, (before, after) = extension.after, extension.held_out
-    floor = np.full(len(before), np.nan)
-    sentence = fall_sentence(before, after, floor)
+    sentence = fall_sentence(before, after, np.full(len(before), np.nan))
     note = "RMS error in motion, before and after both models were fitted to the same recordings."
     added = [label.partition(":")[0] for label in extension.added]
     return render(

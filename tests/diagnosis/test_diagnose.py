@@ -29,7 +29,12 @@ from lieid_casadi.diagnosis import (
     search,
     smooth_functions,
 )
-from lieid_casadi.diagnosis.candidates import Candidate, shape_grid, unresolved_shape
+from lieid_casadi.diagnosis.candidates import (
+    Candidate,
+    implausible_value,
+    shape_grid,
+    unresolved_shape,
+)
 from lieid_casadi.diagnosis.columns import scan_peaks
 from lieid_casadi.diagnosis.findings import finding
 from lieid_casadi.diagnosis.folds import folds_of
@@ -1067,6 +1072,15 @@ FORMS = candidates_of(
     "presliding:2",
     "time_shift",
 )
+
+
+def test_a_reason_states_a_ratio_without_a_unit_and_others_with_theirs():
+    for label, value, text in (
+        ("load_friction:2", 1.5, "f_tau = 1.5 is larger than on a real arm (limit 1)"),
+        ("presliding:2", -0.5, "f_c = -0.5 N·m is physically implausible"),
+    ):
+        (candidate,) = candidates_of(label).values()
+        assert implausible_value(candidate, np.zeros(0), np.array([value]), []) == text
 
 
 def test_a_filter_of_torque_is_no_form_of_friction_over_speed():

@@ -28,6 +28,7 @@ from lieid_casadi.identification.uncertainty.covariance import (
     residual_correlation_length,
     with_columns,
 )
+from lieid_casadi.messages import in_unit
 
 LEVEL = 0.95
 NEAR = np.array([-4, -3, -2.5, -2, -1.5, -1, -0.5, 0, 0.5, 1, 1.5, 2, 2.5, 3, 4])  # of its std
@@ -178,9 +179,10 @@ def open_intervals(design: Design, state: FitState, found: ShapeIntervals) -> li
             for name, is_open in (("below", found.open_below[k]), ("above", found.open_above[k]))
             if is_open
         ]
+        size = in_unit(f"{state.shapes[k]:.3g}", shape.unit)
         warnings.append(
             BoundWarning(
-                f"{shape.label} = {state.shapes[k]:.3g} {shape.unit}: the recordings do not bound "
+                f"{shape.label} = {size}: the recordings do not bound "
                 f"it from {' or '.join(sides)} (95 % interval {found.low[k]:.3g} to "
                 f"{found.high[k]:.3g}); record more of the motion that reveals the effect"
             )

@@ -57,8 +57,7 @@ def read_dataset(folder: Path, options: ReadOptions) -> Measurement:
     names = _names(info, STATE, folder)
     joints = options.joint_names or names
     columns = _matched(names, joints, folder)
-    commands = _names(info, ACTION, folder)
-    command_columns = _matched(commands, joints, folder)
+    command_columns = _matched(_names(info, ACTION, folder), joints, folder)
     frames = _frames(folder, parquet, options)
     episode = np.asarray(frames["episode_index"], dtype=np.int64)
     order = np.lexsort((frames["frame_index"], episode))
@@ -146,8 +145,7 @@ def _frames(folder: Path, parquet: Any, options: ReadOptions) -> dict[str, Any]:
             for name in wanted:
                 rows = table.column(name).to_pylist() if name in (STATE, ACTION) else table[name]
                 found[name].append(_numbers(rows, f"{file}: column {name}"))
-    counts = sum(len(part) for part in found["episode_index"])
-    if not counts:
+    if not sum(map(len, found["episode_index"])):
         stated = f"{first}:{'' if end is None else end}"
         raise RecordingError(
             f"{folder}: no frames in episodes {stated}, expected some (--episodes)"
