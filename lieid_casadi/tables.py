@@ -91,10 +91,11 @@ def with_std(value: float, std: float | None) -> str:
 
     Examples
     --------
-    >>> with_std(12.3456, 0.021), with_std(12.3456, None)
-    ('12.346 ± 0.021', '12.35')
+    >>> with_std(12.3456, 0.021), with_std(12.3456, None), with_std(12.3456, math.nan)
+    ('12.346 ± 0.021', '12.35', '12.35')
     """
-    return value_text(value, std) + ("" if std is None else f" ± {std_text(std)}")
+    known = std is not None and not math.isnan(std)
+    return value_text(value, std) + (f" ± {std_text(std)}" if known else "")
 
 
 def html(*parts: str | Table) -> str:

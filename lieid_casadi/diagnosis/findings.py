@@ -9,7 +9,7 @@ import numpy as np
 from lieid_casadi.diagnosis.step import Difference, Step, Unexplained
 from lieid_casadi.effects.registry import REGISTER, make
 from lieid_casadi.effects.smooth import Smooth
-from lieid_casadi.tables import std_text, value_text
+from lieid_casadi.tables import with_std
 
 MOST_RIVALS = 3  # named in a sentence; the JSON has all
 MOST_LISTED = 3  # values in a list; of more the range is stated
@@ -119,14 +119,10 @@ def _sizes(steps: Sequence[Step]) -> list[str]:
             continue
         values = [factor * step.parameters[name] for step in steps]
         deviations = [factor * step.std[name] for step in steps]
-        shown = [_with_std(value, std) for value, std in zip(values, deviations, strict=True)]
+        shown = [with_std(x, s).replace("-", "−") for x, s in zip(values, deviations, strict=True)]
         value = f"{_listed(shown, values)} {unit}".rstrip()
         texts.append(value if len(first.units) == 1 else f"{name} = {value}")
     return texts
-
-
-def _with_std(value: float, std: float) -> str:
-    return f"{value_text(value, std)} ± {std_text(std)}".replace("-", "−")
 
 
 def _rivals(steps: Sequence[Step]) -> str:
@@ -183,7 +179,8 @@ def difference_sentence(each: Difference) -> str:
     values, differs = [], " =" if each.period is not None else " differs by"
     for name, value in each.parameters.items():
         unit, std = each.units.get(name, "").removeprefix("1"), each.std[name]
-        values.append(f"{name}{differs} {_with_std(value, std)} {unit}".strip())
+        size = with_std(value, std).replace("-", "−")
+        values.append(f"{name}{differs} {size} {unit}".strip())
     where, text = location(each.joints), join_words(values)
     if each.period is not None:
         return (

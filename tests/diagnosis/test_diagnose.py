@@ -897,6 +897,7 @@ def test_a_change_is_named(name, joint, strength, label):
     assert [s.label for s in diagnosis.steps] == [label]
     assert diagnosis.mode == "changed"
     assert diagnosis.steps[0].errors["rms_train"] is None
+    assert "nan" not in diagnosis.sentence  # a shape that is the best of a grid has no deviation
 
 
 @pytest.mark.parametrize("size", [2.0, 12.0])  # the larger one resembles functions that harm
