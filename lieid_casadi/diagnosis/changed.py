@@ -278,7 +278,7 @@ def _steps(
         steps.append(
             step_of(
                 own,
-                _numbers(found, change),
+                _numbers(found, change, without),
                 before=falls[0],
                 after=falls[1],
                 unexplained=over,
@@ -308,14 +308,28 @@ def _errors(before: Comparison, moving: Array) -> dict[str, Array | None]:
     return {"rms_train": None, "rms_test": of_all, "rms_test_moving": moving, "rms_cv": None}
 
 
-def _numbers(found: Round, change: _Change) -> dict[str, tuple[float, float, str]]:
-    """Return value, standard deviation and unit of each parameter of a change by name."""
+def _numbers(
+    found: Round, change: _Change, others: Sequence[_Change]
+) -> dict[str, tuple[float, float, str]]:
+    """Return value, standard deviation and unit of each parameter of a change by name.
+
+    A single shape is uncertain by the columns at its neighbours on the grid, and with it all; its
+    value may be anywhere between half the ways to them.
+    """
+    columns, group, outside = found.paths.columns, change.slot.group, found.paths.outside
     alone = Model.of_placements(found.rows.fit.model.robot, (change.candidate.placement,))
-    parameters = [*alone.columns, *alone.shapes]
-    shapes = found.paths.columns.shapes(change.slot.group)[: len(alone.shapes)]
-    std = np.sqrt(np.maximum(np.diag(change.covariance), 0.0))
-    std = np.append(std, np.full(len(shapes), np.nan))
-    return {
-        p.name.rpartition(".")[2]: (float(v), float(s), p.unit)
-        for p, v, s in zip(parameters, [*change.values, *shapes], std, strict=True)
-    }
+    shapes = columns.shapes(group)[: len(alone.shapes)]
+    std = np.append(np.sqrt(np.diag(change.covariance)), np.full(len(shapes), np.nan))
+    first = max(group - 1, 0)
+    near = first + np.flatnonzero(columns.owner[first : group + 2] == columns.owner[group])
+    if len(shapes) == 1 and len(near) > 1:
+        less, more = (outside(int(g)) @ change.values for g in (near[0], near[-1]))
+        width = float(np.ptp([columns.shapes(int(g))[0] for g in near]))
+        slope = (more - less) / width
+        beside = [outside(c.slot.group) for c in others]
+        together = np.column_stack([*beside, outside(group), slope])
+        gram = together.T @ together
+        std = np.sqrt(np.diag(np.linalg.pinv(gram, hermitian=True))[-len(std) :])
+        std[-1] = np.hypot(std[-1], width / (len(near) - 1) / np.sqrt(12.0))
+    parameters = zip([*alone.columns, *alone.shapes], [*change.values, *shapes], std, strict=True)
+    return {p.name.rpartition(".")[2]: (float(v), float(s), p.unit) for p, v, s in parameters}

@@ -107,8 +107,7 @@ class Columns:
     @cached_property
     def parameters(self) -> Array:
         """Number of parameters that each group adds to a model (G,)."""
-        each = np.array([c.parameters for c in self.owners], dtype=float)
-        return np.asarray(each[self.owner])
+        return np.array([c.parameters for c in self.owners], dtype=float)[self.owner]
 
     @cached_property
     def common(self) -> Indices:

@@ -41,8 +41,7 @@ def leave_out_events(
     check_recordings(fit.model, recordings)
     events = transient_events(fit, recordings)
     kept = without_events(recordings, events)
-    still = standstill_events(fit.model.robot, process(kept, fit.processing))
-    return kept, (*events, *still)
+    return kept, (*events, *standstill_events(fit.model.robot, process(kept, fit.processing)))
 
 
 def without_events(recordings: Sequence[Recording], events: Sequence[Event]) -> list[Recording]:

@@ -146,8 +146,7 @@ def extend(
         errors = [np.array([getattr(c, name) for c in tested]) for name in names]
     report("done", 1.0)
     added = tuple(placement.label for placement in wanted)
-    rms_train = np.array([before.rms_train, after.rms_train])
-    return Extension(added, before, after, rms_train, *errors)
+    return Extension(added, before, after, np.array([before.rms_train, after.rms_train]), *errors)
 
 
 def _doubtful(fit: Fit, added: Sequence[Placement]) -> list[LieidWarning]:

@@ -102,8 +102,7 @@ def _searched(state: State, rows: Rows, report: Report) -> tuple[State, Round]:
         further = moving(plausible(state, [*state.accepted, *new]))
         kept = all(each in further.accepted for each in state.accepted)
         if kept and np.nansum(np.log(further.fit.rms_cv / state.fit.rms_cv)) > 0.0:
-            higher = {a.placement.label: HIGHER for a in new}
-            further = state.rejecting(higher, refused=True)
+            further = state.rejecting({a.placement.label: HIGHER for a in new}, refused=True)
         state = further
         if rounds >= ROUNDS or not (new or len(state.apart) > len(before)):
             break

@@ -38,7 +38,6 @@ from lieid_casadi.recording import Processed
 
 REACH = 1.0  # periods of the cut-off frequency
 FEWEST = 5  # instants in a recording at which a change is tried
-EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, by default
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +121,7 @@ class Rows:
 
     def spread(self, residual: Sequence[Array] | None = None) -> Array:
         """Return the standard deviation (n,) of residuals away from uncertain friction, N·m."""
-        own = self.residual if residual is None else residual
-        pairs = zip(own, self.runs, strict=True)
+        pairs = zip(self.residual if residual is None else residual, self.runs, strict=True)
         return np.array([spread_of(r, runs.friction_std) for r, runs in pairs])
 
     def weights(self, spread: Array) -> list[Array]:
@@ -212,12 +210,7 @@ class Rows:
         A joint sticks for a moment at a reversal, until the torque of its drive has changed by
         twice the level of dry friction; positions do not show such a moment of one sample.
         """
-        return self._shifted_friction(0.0)
-
-    @cached_property
-    def early_friction(self) -> tuple[Array, ...]:
-        """The same of dry friction that is early, as that of MuJoCo is by default."""
-        return self._shifted_friction(EARLY)
+        return self.shifted_friction(0.0)
 
     @cached_property
     def away_from_reversals(self) -> tuple[Mask, ...]:
@@ -240,7 +233,7 @@ class Rows:
         rest = np.concatenate(parts)
         return tuple(rest[run.all, j] for j, run in enumerate(self.runs))
 
-    def _shifted_friction(self, early: float) -> tuple[Array, ...]:
+    def shifted_friction(self, early: float) -> tuple[Array, ...]:
         """Return the change if dry friction is a sample late, or ``early`` by so many seconds."""
         fit, parts = self.fit, []
         for segment in self.segments:

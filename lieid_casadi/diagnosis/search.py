@@ -31,10 +31,11 @@ REFINEMENT = (1 / 3, 2 / 3)  # positions between two grid points
 #: decides the coefficient.
 LEAST_SUPPORT = 5.0
 PROMISING = 0.5  # of its penalty that a group must gain to be in the paths outside held-out parts
+EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, by default
 #: What dry friction may do beside the model, by the names that effects have for it.
-UNCERTAIN_FRICTION = {
+UNCERTAIN_FRICTION: dict[str, Callable[[Rows], Sequence[Array]]] = {
     "late": attrgetter("late_friction"),
-    "early": attrgetter("early_friction"),
+    "early": lambda rows: rows.shifted_friction(EARLY),
     "rest": attrgetter("friction_at_rest"),
 }
 #: Effects of the model that may change in the course of a recording, at one of some instants or as

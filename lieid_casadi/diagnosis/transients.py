@@ -206,8 +206,7 @@ def _together(errors: Sequence[slice], time: Array) -> list[slice]:
 
 def _apart(time: Array, stretch: slice) -> Mask:
     """Return the rows (M,) that are long before or after a stretch."""
-    gap = np.maximum(time[stretch.start] - time, time - time[stretch.stop - 1])
-    return np.asarray(gap > GAP)
+    return np.asarray(np.maximum(time[stretch.start] - time, time - time[stretch.stop - 1]) > GAP)
 
 
 def _event(own: ResidualSignals, scale: Array, stretch: slice) -> Event:
@@ -409,8 +408,7 @@ def _near(signals: Array, width: float, excess: Array, stretch: slice) -> Mask:
     """Return the rows (M,) whose signals (M, s) are those of a stretch where its error is large."""
     own = excess[stretch]
     large = stretch.start + np.flatnonzero(own > 0.5 * own.max())
-    distance = KDTree(signals[large]).query(signals, p=np.inf)[0]
-    return np.asarray(distance < width)
+    return np.asarray(KDTree(signals[large]).query(signals, p=np.inf)[0] < width)
 
 
 def _visits(

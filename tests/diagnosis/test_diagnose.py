@@ -900,6 +900,20 @@ def test_a_change_is_named(name, joint, strength, label):
     assert "nan" not in diagnosis.sentence  # a shape that is the best of a grid has no deviation
 
 
+@pytest.mark.parametrize(
+    ("name", "joint", "strength", "shape", "true"),
+    [("stribeck", 0, 3.0, "v_s", 0.27), ("torque_ripple", 1, 1.0, "k", 3.0)],
+)
+def test_the_shape_of_a_change_is_as_certain_as_stated(name, joint, strength, shape, true):
+    """It is the best of a grid, whose steps add to what noise does."""
+    arm, errors = arm_with((name, joint, strength)), []
+    for seed in (3, 4, 5, 6):
+        (step,) = lieid.diagnose(unchanged_fit(), run(arm, seed)).steps
+        assert step.std[shape] < 0.02 * true
+        errors.append((step.parameters[shape] - true) / step.std[shape])
+    assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 2.0
+
+
 @pytest.mark.parametrize("size", [2.0, 12.0])  # the larger one resembles functions that harm
 def test_a_change_of_no_known_form_is_one_function_with_what_is_linear_in_its_signals(size):
     """The kept model does not describe its linear part; others are judged without harmful ones."""
