@@ -141,8 +141,7 @@ class Candidate:
             return -np.inf, np.inf
         here, others = self.grid[point, 0], self.grid[:, 0]
         below = others[others < here].max(initial=-np.inf)
-        above = others[others > here].min(initial=np.inf)
-        return 0.5 * (here + below), 0.5 * (here + above)
+        return 0.5 * (here + below), 0.5 * (here + others[others > here].min(initial=np.inf))
 
     @property
     def of_arm(self) -> bool:

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from lieid_casadi.arrays import Array, Indices, Mask
-from lieid_casadi.diagnosis.candidates import Candidate, Course
+from lieid_casadi.diagnosis.candidates import Candidate, Course, is_delay
 from lieid_casadi.effects import ArmEffect, Effect
 from lieid_casadi.expressions.effect_function import OWN, EffectFunction
 from lieid_casadi.identification import Fit
@@ -108,6 +108,11 @@ class Columns:
     def parameters(self) -> Array:
         """Number of parameters that each group adds to a model (G,)."""
         return np.array([c.parameters for c in self.owners], dtype=float)[self.owner]
+
+    @cached_property
+    def delays(self) -> Mask:
+        """Mark the groups (G,) of delays and filters of torques."""
+        return np.array([is_delay(c) for c in self.owners], dtype=bool)[self.owner]
 
     @cached_property
     def common(self) -> Indices:

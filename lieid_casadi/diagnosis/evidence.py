@@ -278,8 +278,7 @@ class HeldOut:
         # on all rows together, residual and columns are orthogonal to the basis
         along = -axes @ (axes.T @ (outside.T @ every[out]))
         whole, lost = every.T @ every, every[out].T @ every[out]
-        qe = -outside.T @ every[out]
-        self._whole, self._gram = whole, whole - lost - qe.T @ along
+        self._whole, self._gram = whole, whole - lost + every[out].T @ outside @ along
         self._rows, self._n = held, len(span.ends)
         self._joint = np.append(span.joint_of, np.full(further, self._n - 1))[held]
         self._share = np.where(self._joint < self._n - 1, 1.0, 1.0 / folds.count)

@@ -59,8 +59,7 @@ def finding(steps: Sequence[Step], mode: str) -> str:
     unconfirmed = [step for step in steps if step.confirmed is False]
     if unconfirmed:
         where = join_words([str(step.joint + 1) for step in unconfirmed])
-        plural = "s" * (len(unconfirmed) > 1)
-        text += f"; the test does not confirm it on joint{plural} {where}"
+        text += f"; the test does not confirm it on joint{'s' * (len(unconfirmed) > 1)} {where}"
     return text + "."
 
 

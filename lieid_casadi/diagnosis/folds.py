@@ -99,8 +99,7 @@ def places(rows: Rows, count: int) -> tuple[Indices, Array]:
     used = np.zeros(len(rows.times))
     for run in rows.runs:
         used[run.all] = 1.0
-    passed = np.cumsum(used) - used
-    place = passed / max(float(used.sum()), 1.0)
+    place = (np.cumsum(used) - used) / max(float(used.sum()), 1.0)
     for k, segment in enumerate(rows.segments):
         period = detect_period(segment.recording)
         if period is not None:

@@ -377,6 +377,9 @@ def _best(
     columns, (gains, values) = state.paths.columns, found
     owners = columns.owner[list(state.groups)]
     taken = np.isin(columns.owner, [*owners, *columns.common[owners]])
+    if state.paths.span.of_prior:  # delays that nearly cancel resemble friction of another form
+        late = [g for g in state.groups if columns.delays[g]]
+        taken |= columns.delays & columns.reach[columns.reach[:, late].any(axis=1)].any(axis=0)
     score = np.where(rules.usable & ~refused & ~taken, gains - rules.penalty, 0.0)
     while True:
         best = int(np.argmax(score)) if len(score) else 0

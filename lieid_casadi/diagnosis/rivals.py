@@ -120,7 +120,6 @@ def _difference(found: Round, mine: Array, theirs: Array, parameters: int) -> tu
 
     ``parameters`` are those that the other model has more; each costs the logarithm of the rows.
     """
-    cost = parameters * np.log(len(found.paths.span.residual)) / len(mine)
-    worse = theirs - mine + cost
+    worse = theirs - mine + parameters * np.log(len(found.paths.span.residual)) / len(mine)
     error = float(np.std(worse, ddof=1)) / np.sqrt(len(worse))
     return float(np.mean(worse)), max(error, 1e-12)

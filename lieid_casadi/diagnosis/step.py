@@ -140,8 +140,7 @@ class MotionGain:
         every = logarithms(before) - logarithms(after)
         falls = np.mean(every, axis=1) if joint is None else every[:, joint]
         std = float(falls.std(ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else np.inf
-        ends = rms(before[:, -1:]), rms(after[:, -1:])
-        return cls(*ends, float(falls.mean()), std, window)
+        return cls(rms(before[:, -1:]), rms(after[:, -1:]), float(falls.mean()), std, window)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers for JSON; angles in rad."""

@@ -190,8 +190,7 @@ def _around(size: Array, peak: int) -> slice:
     low = size < max(LEAST_END, END_PART * size[peak])
     before, after = np.flatnonzero(low[:peak]), np.flatnonzero(low[peak:])
     first = int(before[-1]) + 1 if len(before) else 0
-    last = peak + int(after[0]) if len(after) else len(size)
-    return slice(first, last)
+    return slice(first, peak + int(after[0]) if len(after) else len(size))
 
 
 def _together(errors: Sequence[slice], time: Array) -> list[slice]:
@@ -372,8 +371,7 @@ def _without_columns(error: Array, columns: Array, moving: Mask) -> Array:
     rest = target
     for _ in range(ROUNDS):
         root = np.sqrt(weight)[:, None]
-        values = np.linalg.lstsq(root * own, root[:, 0] * target, rcond=1e-8)[0]
-        rest = target - own @ values
+        rest = target - own @ np.linalg.lstsq(root * own, root[:, 0] * target, rcond=1e-8)[0]
         size = np.abs(rest) / max(BISQUARE * robust_scale(rest), 1e-12)
         weight = np.where(size < 1.0, (1.0 - np.minimum(size, 1.0) ** 2) ** 2, 0.0)
     found[moving] = rest

@@ -250,6 +250,23 @@ def test_a_compromise_of_two_causes_gives_way_to_them():
     assert set(forward(paths, -1, rules(columns))) == {1, 2}
 
 
+@pytest.mark.parametrize(("prior", "count"), [(None, 3), (np.eye(MODEL), 2)])
+def test_a_change_has_one_delay_or_filter_of_the_same_torque(prior, count):
+    """Two of a joint that nearly cancel resemble friction of another form; a fit settles it."""
+    model, residual, columns = problem(3, signal=(0, 2, 4))
+    names = {0: ("torque_delay", 0), 2: ("torque_delay", 1), 4: ("torque_lowpass", 0)}
+    owners = [
+        replace(c, placement=Placement(make(names[k][0]), names[k][1])) if k in names else c
+        for k, c in enumerate(columns.owners)
+    ]
+    span = Span.of(model, np.split(residual, 2), prior)
+    columns = replace(columns, owners=tuple(owners))
+    paths = Paths(span, columns, np.zeros((0, len(span.residual)), dtype=bool))
+    found = forward(paths, -1, rules(columns))
+    assert len({0, 2, 4}.intersection(found)) == count
+    assert 2 in found
+
+
 def test_an_effect_of_the_arm_counts_where_the_error_falls_most():
     """The zero of a joint's position was not added: its own error hardly depends on it."""
     random = np.random.default_rng(6)
