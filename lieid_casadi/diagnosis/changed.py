@@ -319,17 +319,17 @@ def _numbers(
     columns, group, outside = found.paths.columns, change.slot.group, found.paths.outside
     alone = Model.of_placements(found.rows.fit.model.robot, (change.candidate.placement,))
     shapes = columns.shapes(group)[: len(alone.shapes)]
-    std = np.append(np.sqrt(np.diag(change.covariance)), np.full(len(shapes), np.nan))
+    variances = np.append(np.diag(change.covariance), np.full(len(shapes), np.nan))
     first = max(group - 1, 0)
     near = first + np.flatnonzero(columns.owner[first : group + 2] == columns.owner[group])
     if len(shapes) == 1 and len(near) > 1:
         less, more = (outside(int(g)) @ change.values for g in (near[0], near[-1]))
         width = float(np.ptp([columns.shapes(int(g))[0] for g in near]))
-        slope = (more - less) / width
         beside = [outside(c.slot.group) for c in others]
-        together = np.column_stack([*beside, outside(group), slope])
-        gram = together.T @ together
-        std = np.sqrt(np.diag(np.linalg.pinv(gram, hermitian=True))[-len(std) :])
-        std[-1] = np.hypot(std[-1], width / (len(near) - 1) / np.sqrt(12.0))
+        together = np.column_stack([*beside, outside(group), (more - less) / width])
+        every = np.diag(np.linalg.pinv(together.T @ together, hermitian=True))
+        variances = every[-len(variances) :].copy()
+        variances[-1] += (width / (len(near) - 1)) ** 2 / 12.0
+    std = np.sqrt(np.maximum(variances, 0.0))
     parameters = zip([*alone.columns, *alone.shapes], [*change.values, *shapes], std, strict=True)
     return {p.name.rpartition(".")[2]: (float(v), float(s), p.unit) for p, v, s in parameters}
