@@ -15,7 +15,7 @@ def joints_text(joints: Iterable[object]) -> str:
 
 def in_unit(number: str, unit: str) -> str:
     """Return a number with its unit; that of a ratio, 1, is not written."""
-    return number if unit == "1" else f"{number} {unit}"
+    return number if unit in ("", "1") else f"{number} {unit}"
 
 
 def names_text(names: Sequence[str], most: int = 8) -> str:

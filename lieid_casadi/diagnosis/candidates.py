@@ -195,7 +195,7 @@ def list_candidates(
         return ()
     for effect in usable(model.library)[0].values():
         if effect.option and not effect.whole_arm and (model_fixed or not is_form(effect)):
-            continue  # of variants, only those of the whole arm and forms of friction over speed
+            continue  # of variants, only those of the whole arm and other forms
         if not effect.candidate or not _has_signals(effect, segments, commanded=commanded):
             continue
         if model_fixed:

@@ -313,8 +313,7 @@ def _numbers(
 ) -> dict[str, tuple[float, float, str]]:
     """Return value, standard deviation and unit of each parameter of a change by name.
 
-    A single shape is uncertain by the columns at its neighbours on the grid, and with it all; its
-    value may be anywhere between half the ways to them.
+    A single shape is uncertain by the columns at its neighbours on the grid, and by half the ways.
     """
     columns, group, outside = found.paths.columns, change.slot.group, found.paths.outside
     alone = Model.of_placements(found.rows.fit.model.robot, (change.candidate.placement,))

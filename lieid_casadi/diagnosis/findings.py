@@ -9,6 +9,7 @@ import numpy as np
 from lieid_casadi.diagnosis.step import Difference, Step, Unexplained
 from lieid_casadi.effects.registry import REGISTER, make
 from lieid_casadi.effects.smooth import Smooth
+from lieid_casadi.messages import in_unit
 from lieid_casadi.tables import with_std
 
 MOST_RIVALS = 3  # named in a sentence; the JSON has all
@@ -118,10 +119,14 @@ def _sizes(steps: Sequence[Step]) -> list[str]:
             continue
         values = [factor * step.parameters[name] for step in steps]
         deviations = [factor * step.std[name] for step in steps]
-        shown = [with_std(x, s).replace("-", "−") for x, s in zip(values, deviations, strict=True)]
-        value = f"{_listed(shown, values)} {unit}".rstrip()
+        shown = [_with_std(value, std) for value, std in zip(values, deviations, strict=True)]
+        value = in_unit(_listed(shown, values), unit)
         texts.append(value if len(first.units) == 1 else f"{name} = {value}")
     return texts
+
+
+def _with_std(value: float, std: float) -> str:
+    return with_std(value, std).replace("-", "−")
 
 
 def _rivals(steps: Sequence[Step]) -> str:
@@ -177,9 +182,8 @@ def difference_sentence(each: Difference) -> str:
     """Return what is not the same in all training recordings, or in all of one."""
     values, differs = [], " =" if each.period is not None else " differs by"
     for name, value in each.parameters.items():
-        unit, std = each.units.get(name, "").removeprefix("1"), each.std[name]
-        size = with_std(value, std).replace("-", "−")
-        values.append(f"{name}{differs} {size} {unit}".strip())
+        size = in_unit(_with_std(value, each.std[name]), each.units.get(name, ""))
+        values.append(f"{name}{differs} {size}")
     where, text = location(each.joints), join_words(values)
     if each.period is not None:
         return (

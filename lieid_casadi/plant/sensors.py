@@ -147,8 +147,7 @@ def _velocity(
     noise = random.standard_normal((rows.size, encoder.shape[1])) * _each(sensors.velocity_noise)
     if sensors.velocity == "exact":
         return motion.motor_dq[rows] + noise
-    step = float(np.median(np.diff(motion.t)))
-    half = max(1, round(0.5 * VELOCITY_SPAN / step))
+    half = max(1, round(0.5 * VELOCITY_SPAN / float(np.median(np.diff(motion.t)))))
     before, after = np.maximum(rows - half, 0), np.minimum(rows + half, motion.t.size - 1)
     span = (motion.t[after] - motion.t[before])[:, None]
     return (encoder[after] - encoder[before]) / span + noise

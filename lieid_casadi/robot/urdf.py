@@ -75,9 +75,7 @@ def _mimic_warnings(joints: Sequence[UrdfJoint], origin: str) -> Iterator[LieidW
 def _inertia_warnings(links: Sequence[UrdfLink], origin: str) -> Iterator[LieidWarning]:
     for link in links:
         xx, xy, xz, yy, yz, zz = link.inertia
-        central = [0.0, 0.0, 0.0, 0.0, xx, xy, yy, xz, yz, zz]
-        fault = impossible_moments(central)
-        if fault is not None:
+        if (fault := impossible_moments([0.0, 0.0, 0.0, 0.0, xx, xy, yy, xz, yz, zz])) is not None:
             yield NominalInertiaWarning(
                 f"{origin}: link {link.name!r}: its inertia has {fault} which is physically "
                 "impossible"

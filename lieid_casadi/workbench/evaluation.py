@@ -16,6 +16,7 @@ from lieid_casadi.effects import Effect
 from lieid_casadi.effects.registry import make
 from lieid_casadi.identification import Fit
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
+from lieid_casadi.messages import in_unit
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, process
 from lieid_casadi.report.reports import diagnosis_summary
@@ -184,7 +185,7 @@ def parameter_text(name: str, value: float, std: float | None, unit: str) -> str
     >>> parameter_text("f_c", 17.552, 0.853, "N·m"), parameter_text("g", 0.02, None, "1")
     ('f_c = 17.55 ± 0.85 N·m', 'g = 0.02')
     """
-    return f"{name} = {with_std(value, std)}{'' if unit in ('', '1') else ' ' + unit}"
+    return f"{name} = {in_unit(with_std(value, std), unit)}"
 
 
 @dataclass(frozen=True)

@@ -84,8 +84,7 @@ def _notes(fit: Fit) -> list[str]:
             "consistent fit"
         )
     timed = [p.label for p in fit.model.placements if "time" in p.effect.signals]
-    stateless = [p.label for p in fit.model.placements if p.effect.states]
-    if set(timed) - set(stateless):
+    if set(timed) - {p.label for p in fit.model.placements if p.effect.states}:
         notes.append(f"{', '.join(timed)}: time counts from the start of the motion")
     inside = []
     for p in fit.model.placements:
