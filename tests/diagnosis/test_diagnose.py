@@ -56,6 +56,7 @@ from lieid_casadi.errors import (
     LateFrictionWarning,
     SameRecordingWarning,
 )
+from lieid_casadi.messages import in_unit
 from lieid_casadi.recording import process
 from lieid_casadi.tables import std_text, value_text
 
@@ -1096,6 +1097,7 @@ def test_a_reason_states_a_ratio_without_a_unit_and_others_with_theirs():
     ):
         (candidate,) = candidates_of(label).values()
         assert implausible_value(candidate, np.zeros(0), np.array([value]), []) == text
+    assert [in_unit("2", unit) for unit in ("1", "", "1/(N·m)")] == ["2", "2", "2 1/(N·m)"]
 
 
 def test_a_filter_of_torque_is_no_form_of_friction_over_speed():
