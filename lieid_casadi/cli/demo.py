@@ -65,8 +65,6 @@ def write(demo: Demo, folder: Path, *, force: bool = False) -> None:
 
 def shown(demo: Demo, folder: Path) -> tuple[str | Table, ...]:
     """Return the excitation, the verdict, and the error per joint before and after."""
-    from lieid_casadi.report.reports import diagnosis_summary
-
     before, after = demo.comparison, demo.better_comparison
     joints = [f"{j} {name}" for j, name in enumerate(before.joint_names, start=1)]
     numbers = (before.rms_moving, after.rms_moving, after.torque_rms)
@@ -79,7 +77,7 @@ def shown(demo: Demo, folder: Path) -> tuple[str | Table, ...]:
         f"Excitation: condition number {demo.excitation.condition_number:.3g}, "
         f"{demo.excitation.duration:.0f} s.",
         demo.diagnosis.sentence,
-        diagnosis_summary(demo.diagnosis),
+        demo.diagnosis.summary,
         errors,
         f"The report is {folder}/report.html; {folder} also has the excitation, recordings, fits "
         "and C code.",

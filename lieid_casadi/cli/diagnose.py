@@ -128,6 +128,8 @@ def shown(diagnosis: lieid.Diagnosis) -> Iterator[str | Table | LieidWarning]:
     )
 
     yield from diagnosis.sentences
+    if summary := diagnosis.summary:
+        yield summary
     yield diagnosis.error_table()
     yield motion_table(diagnosis)
     yield evidence_table(diagnosis)
@@ -135,7 +137,9 @@ def shown(diagnosis: lieid.Diagnosis) -> Iterator[str | Table | LieidWarning]:
         yield "lieid effects NAME describes an effect and what it is confused with."
         if diagnosis.mode == "missing":
             effects = ",".join(diagnosis.fit.model.effects)
-            yield f"The model with these effects: --effects '{effects}'"
+            without = any(event.kind != "standstill" for event in diagnosis.events)
+            where = ", fitted without what is left out" if without else ""
+            yield f"The model with these effects{where}: --effects '{effects}'"
     yield rejected_table(diagnosis)
     if not diagnosis.rejected:  # whose table states it
         yield f"{diagnosis.tried} candidates were tried."

@@ -40,6 +40,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.uncertainty.covariance import prior_rows, with_weak_free
 from lieid_casadi.identification.uncertainty.noise_model import Noise
+from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
 
@@ -183,7 +184,8 @@ def _reason(
         return "without it the error is as expected of the fit"
     fall = float(_falls(found, expected, changes, change)[raised].max(initial=-np.inf))
     if fall < options.worth_of_change:
-        return f"the error of a raised joint falls by only {100 * fall:.1f} %"
+        percent = f"{100 * max(fall, 0.0):.1f} %"
+        return f"where the error has risen, it lowers it by only {percent}"
     if slot.evidence.deviations < options.gain_deviations:
         return slot.reason(options)
     part = len(changes) / sum(c.of_arm for c in found.paths.columns.owners)
@@ -273,7 +275,8 @@ def _steps(
     accepted = [Accepted.of(found, c.slot, slots, options) for c in changes]
     groups, steps = groups_of(accepted), list[Step]()
     for k, (change, own) in enumerate(zip(changes, accepted, strict=True)):
-        without = [*changes[:k], *changes[k + 1 :]]
+        without = _fitted(found, [c.slot for c in (*changes[:k], *changes[k + 1 :])])
+        so_far = _fitted(found, [c.slot for c in changes[: k + 1]])
         falls = [float(_moving(found, of, before)[own.joint]) for of in (without, changes)]
         steps.append(
             step_of(
@@ -282,11 +285,11 @@ def _steps(
                 before=falls[0],
                 after=falls[1],
                 unexplained=over,
-                fall=Fall(None, None, falls[0] - falls[1]),
+                fall=Fall(None, None, number_or_none(falls[0] - falls[1])),
                 torque=found.rows.torque[own.joint],
                 group=groups[k],
                 deviations=change.deviations,
-                errors=_errors(before, _moving(found, changes[: k + 1], before)),
+                errors=_errors(before, _moving(found, so_far, before)),
             )
         )
     return beside_smooth_functions(steps)

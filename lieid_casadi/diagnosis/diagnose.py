@@ -105,33 +105,36 @@ def diagnose(
             )
         kept, events = leave_out_events(model, recordings)
         changed = diagnose_changed(model, kept, options=chosen, report=report)
-        return _with_events(replace(changed, seed=seed), events, recordings)
+        return _with_events(changed, events, recordings, seed)
     report("identify", 0.0)
     first = identify(as_model(model), recordings, method=method, processing=processing)
     judged = with_brief_effects(first, recordings, method)
     kept, events = leave_out_events(judged, recordings)
     kept_tests, test_events = leave_out_events(judged, tests) if tests else ([], ())
-    events, every = (*events, *test_events), [*recordings, *tests]
+    # a joint that rests in the test alone is identified
+    of_test = (event for event in test_events if event.kind != "standstill")
+    events, every = (*events, *of_test), [*recordings, *tests]
     while True:
         fit, left_out = first, any(event.kind != "standstill" for event in events)
         if left_out:
             fit = identify(as_model(model), kept, method=method, processing=first.processing)
         found = diagnose_missing(
-            fit, kept, kept_tests, method=method, options=chosen, ask=ask, report=report, seed=seed
+            fit, kept, kept_tests, method=method, options=chosen, ask=ask, report=report
         )
         standing = unexplained_events(found.fit, every, events) if left_out else events
         if len(standing) == len(events):
-            return _with_events(found, events, every)
+            return _with_events(found, events, every, seed)
         # effects that the first model lacked looked like contact
         events, kept = standing, without_events(recordings, standing)
         kept_tests = tests and without_events(tests, standing)
 
 
 def _with_events(
-    found: Diagnosis, events: tuple[Event, ...], recordings: Sequence[Recording]
+    found: Diagnosis, events: tuple[Event, ...], recordings: Sequence[Recording], seed: int
 ) -> Diagnosis:
-    """Return a diagnosis with the stretches left out, and what the recordings lack."""
+    """Return a diagnosis with the stretches left out, what the recordings lack, and a seed."""
     warnings = [w for w in found.warnings if not isinstance(w, DropoutWarning)]
     gaps = [w for r in recordings for w in check_time(r) if isinstance(w, DropoutWarning)]
     held = held_joints(found.fit, recordings)
-    return replace(found, events=events, warnings=unique_warnings([*warnings, *gaps, *held]))
+    every = unique_warnings([*warnings, *gaps, *held])
+    return replace(found, events=events, warnings=every, seed=seed)

@@ -197,7 +197,7 @@ def _slot(
     own = [columns.owner[group] in columns.owner[list(mine)] for mine in stand]
     others = (g for mine in stand for g in mine if columns.owner[g] != columns.owner[group])
     less, more = (x[:, :n].sum(axis=0) for x in (before, after))
-    left = np.where(columns.reach[:, group], more / np.maximum(less, 1e-300), np.inf)
+    left = np.where(columns.reach[:, group] & (less > 0.0), more / np.maximum(less, 1e-300), np.inf)
     joint = int(np.argmin(left))
     evidence = Evidence(
         tuple(map(float, gains)),
@@ -332,11 +332,7 @@ def determined(gram: Array, products: Array, whole: Array) -> Array:
 
 def solved(gram: Array, products: Array) -> Array:
     """Return the solution of normal equations; dependent directions stay at zero."""
-    size = np.sqrt(np.diag(gram))
-    size[size == 0.0] = 1.0
-    sizes, axes = np.linalg.eigh(gram / size / size[:, None])
-    seen = sizes > DEPENDENT * max(float(sizes.max(initial=0.0)), 1e-300)
-    return np.asarray(axes[:, seen] @ (axes[:, seen].T @ (products / size) / sizes[seen]) / size)
+    return determined(gram, products, gram)
 
 
 def _members(

@@ -75,11 +75,8 @@ def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:
     place, near = places(rows, count)
     whole = sum(float(s.filtered_time[-1] - s.filtered_time[0]) for s in rows.segments)
     gap = min(float(correlated.max()), LARGEST_GAP * whole / count)
-    held, out = [], []
-    for k in range(count):
-        own = place == k
-        held.append(own)
-        out.append(own | (_distance(near, near[own]) < gap))
+    held = [place == k for k in range(count)]
+    out = [own | (_distance(near, near[own]) < gap) for own in held]
     at = np.concatenate([run.all for run in rows.runs])
     independent = (whole / correlated).astype(np.intp)
     return Folds(np.array(held)[:, at], np.array(out)[:, at], gap, independent)
@@ -100,11 +97,11 @@ def places(rows: Rows, count: int) -> tuple[Indices, Array]:
     for run in rows.runs:
         used[run.all] = 1.0
     place = (np.cumsum(used) - used) / max(float(used.sum()), 1.0)
-    for k, segment in enumerate(rows.segments):
-        period = detect_period(segment.recording)
-        if period is not None:
-            time = segment.filtered_time - segment.filtered_time[0]
-            place[rows.segment_of == k] = (time % period) / period
+    for k, pieces in enumerate(rows.pieces.values()):
+        periods = (detect_period(rows.segments[piece].recording) for piece in pieces)
+        if period := next(filter(None, periods), None):
+            own = rows.recordings == k
+            place[own] = rows.clock[own] % period / period
     return np.minimum((count * place).astype(np.intp), count - 1), rows.times
 
 

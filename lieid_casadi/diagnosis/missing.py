@@ -64,7 +64,6 @@ def diagnose_missing(
     options: DiagnosisOptions,
     ask: Callable[[Proposal], bool] | None,
     report: Report,
-    seed: int,
 ) -> Diagnosis:
     """Return the effects that a model lacks, of which ``first`` is the fit before any is added."""
     segments, _ = center_temperature(process(train, first.processing), first.temperature_mean)
@@ -76,7 +75,7 @@ def diagnose_missing(
     report("measure the effects", 0.9)
     found = _described(state, rows, last, train, tests)
     report("done", 1.0)
-    return replace(found, seed=seed)
+    return found
 
 
 def _searched(state: State, rows: Rows, report: Report) -> tuple[State, Round]:
@@ -93,7 +92,9 @@ def _searched(state: State, rows: Rows, report: Report) -> tuple[State, Round]:
         if state.accepted:
             rows = _beside(state, rows)
     while True:
-        report(_stage(state.accepted), 0.1 + 0.7 * rounds / (rounds + ROUNDS))
+        labels = ", ".join(a.placement.label for a in state.accepted)
+        stage = f"search beside {labels}" if labels else "search"
+        report(stage, 0.1 + 0.7 * rounds / (rounds + ROUNDS))
         found = search(rows, options, wanted=state.wants)
         state, new = _offered(state, found)
         before, state = state.apart, _with_set_apart(state, found)
@@ -227,11 +228,6 @@ def _is_limit(candidate: Candidate) -> bool:
     return candidate.name == TorqueSaturation.name
 
 
-def _stage(accepted: Sequence[Accepted]) -> str:
-    labels = ", ".join(a.placement.label for a in accepted)
-    return f"search beside {labels}" if labels else "search"
-
-
 def _described(
     state: State,
     rows: Rows,
@@ -271,7 +267,8 @@ def _described(
         where,
         {a.joint for a in state.accepted if a.candidate.effect.per_recording},
     )
-    shown = after or fitted
+    shown, late = after or fitted, {last.candidate(slot.group).label for slot in last.slots}
+    limits = ("most_steps", len(last.slots) >= options.most_steps), ("rounds", gains.keys() & late)
     absorbed, weak = absorbed_and_weak(last, beside=last.rows.fit.model.placements)
     return Diagnosis(
         mode="missing",
@@ -303,5 +300,5 @@ def _described(
         train=first.provenance.recordings,
         test=tuple(Source(r.name, r.source_hash) for r in recorded_tests),
         motion=state.motion_gain([]),
-        limits_reached=("most_steps",) if len(last.slots) >= options.most_steps else (),
+        limits_reached=tuple(name for name, reached in limits if reached),
     )

@@ -95,13 +95,8 @@ class Products:
     inner: Array
 
     def __sub__(self, other: Products) -> Products:
-        return Products(
-            self.qq - other.qq,
-            self.qr - other.qr,
-            self.qz - other.qz,
-            self.zr - other.zr,
-            self.inner - other.inner,
-        )
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Products(*(a - b for a, b in pairs))
 
 
 class Paths:
@@ -212,11 +207,7 @@ class Paths:
     def state(self, part: int) -> PathState:
         """Return the state of a path at its start; −1 is the path on all rows."""
         none = np.zeros((0, self.columns.count))
-        if part < 0:
-            return PathState(
-                self, part, (), none, none, np.zeros(0), self.whole.zr, self.whole.inner
-            )
-        own = self.whole - self.parts[part]
+        own = self.whole if part < 0 else self.whole - self.parts[part]
         sizes, directions = np.linalg.eigh(own.qq)
         seen = sizes > LEAST_INFORMATION
         axes = directions[:, seen] / np.sqrt(sizes[seen])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.comparison.comparison import percent
+from lieid_casadi.comparison.comparison import fall_sentence, percent
 from lieid_casadi.comparison.noise_floor import SOURCES
 from lieid_casadi.comparison.plots import draw_errors
 from lieid_casadi.diagnosis.findings import (
@@ -157,8 +157,9 @@ class Diagnosis:
         stretches = min((e.independent for e in found), default=0)
         if any(e.independent < LEAST_STRETCHES * len(e.gains) for e in found):
             parts.append(
-                f"The error is independent in only {stretches} stretches of the recordings, fewer "
-                "than two in each held-out part, so that the evidence is uncertain; record longer."
+                f"The recordings have only {stretches} stretch{'es' * (stretches != 1)} with "
+                "independent errors, fewer than two in each held-out part, so that the evidence is "
+                "uncertain; record longer."
             )
         parts += [difference_sentence(each) for each in self.differing]
         parts += [uncertain_sentence(self.uncertain)] if self.uncertain else []
@@ -168,6 +169,19 @@ class Diagnosis:
     def sentence(self) -> str:
         """The verdict as a paragraph."""
         return " ".join(self.sentences)
+
+    @property
+    def summary(self) -> str:
+        """By how much the error falls with all effects; empty if none was found."""
+        _, errors = self.shown
+        if not self.steps or len(errors) < 2:
+            return ""
+        name, floor = self.reference
+        where = "the new recordings" if self.mode == "changed" else "unseen motion"
+        if self.mode == "missing" and any(map(self.fit.provenance.contains, self.test)):
+            where = "the motion of the training"
+        reference = "the expected error" if name == "expected" else "its noise floor"
+        return fall_sentence(errors[0], errors[-1], floor, where=where, reference=reference)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``lieid diagnose --json`` writes."""
@@ -252,7 +266,7 @@ def evidence_table(d: Diagnosis) -> Table:
         "on the test by, N·m": [figures(step.fall.test) for step in steps],
         "motion, deg": [_degrees(step) for step in steps],
         "of torque": [percent(step.share) for step in steps],
-        "gain / its error": [figures(step.evidence.deviations, digits=2) for step in steps],
+        "gain / its error": [figures(step.evidence.gain_certainty, digits=2) for step in steps],
         "selected": [percent(step.evidence.selected) for step in steps],
         "rivals": [
             ", ".join(f"{r.label} ({r.kind})" for r in step.rivals[:MOST_RIVALS]) or None

@@ -153,29 +153,41 @@ class Rows:
         )
 
     @cached_property
-    def recording_names(self) -> tuple[str, ...]:
-        """Names of the recordings, in their order."""
-        keys = dict.fromkeys((s.recording.name, s.recording.source_hash) for s in self.segments)
-        return tuple(name or f"recording {k + 1}" for k, (name, _) in enumerate(keys))
+    def pieces(self) -> dict[tuple[str, str], list[int]]:
+        """Segments of each recording, by its name and content, in their order."""
+        found: dict[tuple[str, str], list[int]] = {}
+        for k, s in enumerate(self.segments):
+            found.setdefault((s.recording.name, s.recording.source_hash), []).append(k)
+        return found
 
     @cached_property
-    def _recordings(self) -> Indices:
+    def recording_names(self) -> tuple[str, ...]:
+        """Names of the recordings, in their order."""
+        return tuple(name or f"recording {k + 1}" for k, (name, _) in enumerate(self.pieces))
+
+    @cached_property
+    def starts(self) -> Array:
+        """Time at which each recording begins, on its own clock, s."""
+        return np.array([self.segments[own[0]].t[0] for own in self.pieces.values()])
+
+    @cached_property
+    def recordings(self) -> Indices:
         """Recording of each instant of the common time line."""
-        keys = [(s.recording.name, s.recording.source_hash) for s in self.segments]
-        order = list(dict.fromkeys(keys))
-        return np.array([order.index(key) for key in keys], dtype=np.intp)[self.segment_of]
+        of = {piece: k for k, own in enumerate(self.pieces.values()) for piece in own}
+        return np.array([of[k] for k in range(len(of))], dtype=np.intp)[self.segment_of]
 
     @cached_property
     def clock(self) -> Array:
-        """Time of its recording of each instant of the common time line, s."""
-        return np.concatenate([s.filtered_time for s in self.segments])
+        """Time since its recording began of each instant of the common time line, s."""
+        time = np.concatenate([s.filtered_time for s in self.segments])
+        return time - self.starts[self.recordings]
 
     def part(self, recording: int | None, course: Course | None = None) -> RowPart:
         """Return one recording, or each of them (None), with a change in its course or whole."""
         whole = np.ones((len(self.clock), 1, 1))
         factors = whole if course is None else course.factors(self.clock)
         if recording is not None:
-            factors = factors * (self._recordings == recording)[:, None, None]
+            factors = factors * (self.recordings == recording)[:, None, None]
         return RowPart(recording, course, [factors[run.all] for run in self.runs])
 
     def recording_parts(self) -> list[RowPart]:
@@ -191,26 +203,17 @@ class Rows:
         whole = range(len(self.recording_names))
         found = []
         for k in [None, *whole] if len(whole) > 1 else whole:
-            clock = self.clock if k is None else self.clock[self._recordings == k]
+            clock = self.clock if k is None else self.clock[self.recordings == k]
             length, number = float(np.ptp(clock)), max(count // len(whole), FEWEST)
             at = clock.min() + length * np.linspace(0.0, 1.0, number + 2)[1:-1]
             if kind == "wave":
                 if length * FASTEST <= 1.0:  # less than a whole wave resembles a drift
                     continue
-                own = [self.clock[self._recordings == r] for r in (whole if k is None else [k])]
+                own = [self.clock[self.recordings == r] for r in (whole if k is None else [k])]
                 fastest = max(2.0 / WAVES * min(map(np.ptp, own)), 1.0 / FASTEST)
                 at = 1.0 / np.linspace(1.0 / length, 1.0 / fastest, count)
             found.append(self.part(k, Course(kind, at)))
         return found
-
-    @cached_property
-    def late_friction(self) -> tuple[Array, ...]:
-        """Change of each joint's torque (R_j,) if its dry friction is late, by the delay, N·m/s.
-
-        A joint sticks for a moment at a reversal, until the torque of its drive has changed by
-        twice the level of dry friction; positions do not show such a moment of one sample.
-        """
-        return self.shifted_friction(0.0)
 
     @cached_property
     def away_from_reversals(self) -> tuple[Mask, ...]:
@@ -233,8 +236,12 @@ class Rows:
         rest = np.concatenate(parts)
         return tuple(rest[run.all, j] for j, run in enumerate(self.runs))
 
-    def shifted_friction(self, early: float) -> tuple[Array, ...]:
-        """Return the change if dry friction is a sample late, or ``early`` by so many seconds."""
+    def shifted_friction(self, early: float = 0.0) -> tuple[Array, ...]:
+        """Return the change of torque (R_j,) if dry friction is a sample late, by its delay, N·m/s.
+
+        Or ``early`` by so many seconds. A joint sticks for a moment at a reversal, until the torque
+        of its drive has changed by twice the level of dry friction; positions do not show it.
+        """
         fit, parts = self.fit, []
         for segment in self.segments:
             level = dry_level(fit.compiled, segment, fit.shapes, fit.parameters)

@@ -34,7 +34,7 @@ PROMISING = 0.5  # of its penalty that a group must gain to be in the paths outs
 EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, by default
 #: What dry friction may do beside the model, by the names that effects have for it.
 UNCERTAIN_FRICTION: dict[str, Callable[[Rows], Sequence[Array]]] = {
-    "late": attrgetter("late_friction"),
+    "late": lambda rows: rows.shifted_friction(),
     "early": lambda rows: rows.shifted_friction(EARLY),
     "rest": attrgetter("friction_at_rest"),
 }
@@ -117,7 +117,7 @@ def search(
         smooth = smooth_candidates(rows, span, rests, scale, whole=prior is not None)
         known = {c.label: c for c in smooth if wanted(c)}
         rows = rows.with_candidates([*rows.columns.owners, *known.values()])
-    rows = _with_changes(rows, wanted, of_recordings=prior is None, in_course=with_smooth)
+    rows = _with_changes(rows, wanted, in_course=with_smooth)
     coarse = True
     while True:
         paths = Paths(*_weighted(rows, scale, prior), nothing)
@@ -168,7 +168,7 @@ def _judged(
     of_few = _rules(few.columns, rows, options, dependence[kept])
     kinds = {kind for c in rows.columns.owners for kind in c.effect.like_uncertain_friction}
     friction = {
-        kind: _in_span(paths.span, UNCERTAIN_FRICTION[kind](rows), rows.weights(spread))
+        kind: in_span(paths.span, UNCERTAIN_FRICTION[kind](rows), rows.weights(spread))
         for kind in sorted(kinds if beside_friction else ())
     }
     steady = np.concatenate(rows.away_from_reversals)
@@ -233,7 +233,7 @@ def _promising(paths: Paths, chosen: Sequence[Sequence[int]], rules: Rules) -> I
     return np.flatnonzero(near)
 
 
-def _in_span(span: Span, changes: Sequence[Array], weights: Sequence[Array]) -> Array:
+def in_span(span: Span, changes: Sequence[Array], weights: Sequence[Array]) -> Array:
     """Return weighted changes of each joint's torque as columns (R, n)."""
     found = np.zeros((len(span.joint_of), len(weights)))
     for j, (own, weight) in enumerate(zip(changes, weights, strict=True)):
@@ -241,18 +241,16 @@ def _in_span(span: Span, changes: Sequence[Array], weights: Sequence[Array]) -> 
     return found
 
 
-def _with_changes(
-    rows: Rows, wanted: Callable[[Candidate], bool], *, of_recordings: bool, in_course: bool
-) -> Rows:
+def _with_changes(rows: Rows, wanted: Callable[[Candidate], bool], *, in_course: bool) -> Rows:
     """Return the rows with copies of candidates, and of the model's effects, in parts of the time.
 
-    They act in one recording only (``of_recordings``), or from an instant on and as waves
-    (`COURSES`, ``in_course``), and show what is no effect of the arm.
+    They act in one recording only, or from an instant on and as waves (`COURSES`, ``in_course``),
+    and show what is no effect of the arm.
     """
     every = (Candidate(p, np.zeros((1, 0))) for p in rows.fit.model.placements)
     fixed = [c for c in every if not (c.by_estimate or c.effect.shapes)]
     own = [c for c in fixed if rows.runs[c.joint].count and wanted(c)]
-    columns, recordings = rows.columns, rows.recording_parts() if of_recordings else []
+    columns, recordings = rows.columns, rows.recording_parts()
     shaped = np.array([bool(c.effect.shapes) for c in columns.owners], dtype=bool)
     plain = np.flatnonzero(~shaped[columns.owner] & (columns.point == 0))
     changes = [

@@ -192,8 +192,8 @@ class Step:
         ``rms_train``, ``rms_test``, ``rms_test_moving``, ``rms_cv``: (n,) errors of the model with
         the steps up to this one, N·m, with the weights of the final fit; None where they do not
         exist. Those of the last step are the errors of the final fit.
-    rival_pairs : tuple of (Rival, Rival)
-        Effects that together would do as well, and that this one replaces.
+    rival_pairs : tuple of tuple of Rival
+        The effects, together, in whose place this one is.
     motion : MotionGain or None
         Of arms under commands that can be simulated: errors of the simulated motion on held-out
         data without the effect and with it.
@@ -323,7 +323,7 @@ class Unexplained:
 class Difference:
     """An effect that is not the same in all training recordings, or all of one; joints from 0.
 
-    ``since``: time of the recording from which it is, s; None for all of it.
+    ``since``: time of the recording from which it is, s, of each since it began; None for all.
     ``period``: of a slow oscillation with time, s.
     ``fraction``: of the square of its joint's error on held-out data.
     ``depends_on``: time (``t``) and signals of a change in the course of a recording.

@@ -15,7 +15,7 @@ from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import rivals_of
 from lieid_casadi.diagnosis.rows import Rows
-from lieid_casadi.diagnosis.search import SMOOTH, Round
+from lieid_casadi.diagnosis.search import SMOOTH, Round, in_span
 from lieid_casadi.diagnosis.smooth_functions import formula_of, named_column, own_signals
 from lieid_casadi.diagnosis.step import (
     Difference,
@@ -31,6 +31,7 @@ from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.errors import LateFrictionWarning
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.regression.least_squares import WEAK
+from lieid_casadi.json_numbers import number_or_none
 
 ABSORBED = 1e-6  # part of a column outside the model's span, below which the model imitates it
 
@@ -158,8 +159,8 @@ def steps_of(
     fit = final.fit
     columns = [final.columns_of([a.placement]) for a in accepted]
     groups, none = groups_of(accepted), np.array([], dtype=np.intp)
-    complete = errors_of(fit, tested)
-    steps = []
+    complete, steps = errors_of(fit, tested), list[Step]()
+    trained = any(map(fit.provenance.contains, tested.recordings if tested else ()))
     for k, found in enumerate(accepted):
         deviations = found.coefficient_deviations(fit)
         if found.status == "named" and deviations < options.name_deviations:
@@ -171,9 +172,9 @@ def steps_of(
         without, j = first if len(accepted) == 1 else errors(final.without(columns[k])), found.joint
         train = final.rms_moving(columns[k]) - final.rms_moving(none)
         both = [(without[name], complete[name]) for name in ("rms_cv", "rms_test_moving")]
-        falls = (None if b is None or a is None else float(b[j] - a[j]) for b, a in both)
+        falls = (None if b is None or a is None else number_or_none(b[j] - a[j]) for b, a in both)
         fall = Fall(float(train[j]), *falls)
-        if found.candidate.effect.per_recording:  # the test has another drift
+        if found.candidate.effect.per_recording or trained:  # the test has another drift
             fall = replace(fall, test=None)
         after, before = (float(fit.rms_cv[j]) + more for more in (0.0, fall.cv or 0.0))
         step = step_of(
@@ -191,8 +192,7 @@ def steps_of(
         formula = ""
         if found.status == "shape":
             formula = formula_of(rows, found.placement, columns[k], fit.values[columns[k]])
-        pairs = (replaced,) if len(replaced) > 1 else ()
-        steps.append(replace(step, formula=formula, rival_pairs=pairs))
+        steps.append(replace(step, formula=formula, rival_pairs=(replaced,) if replaced else ()))
     return beside_smooth_functions(steps)
 
 
@@ -300,6 +300,8 @@ def difference_of(found: Round, slot: Slot, *, of_model: bool) -> Difference:
     signals: tuple[str, ...] = ()
     if candidate.course is not None:
         at = float(candidate.course.at[found.paths.columns.point[slot.group]])
+        if candidate.course.kind == "later" and candidate.recording is not None:
+            at += float(found.rows.starts[candidate.recording])
         since, period = (at if candidate.course.kind == k else None for k in ("later", "wave"))
         own = own_signals(candidate.effect)
         signals = ("t", *(named_column(s, candidate.joint) for s in own))
@@ -402,11 +404,8 @@ def late_friction(found: Round, worth: float) -> list[LateFrictionWarning]:
     """
     span, rows, late = found.paths.span, found.rows, []
     rest = span.residual
-    pairs = zip(rows.late_friction, rows.weights(found.spread), strict=True)
-    for j, (own, weight) in enumerate(pairs):
-        column = np.zeros((len(span.joint_of), 1))
-        column[span.joint(j), 0] = own * weight
-        outside = span.outside(column)[:, 0]
+    changes = in_span(span, rows.shifted_friction(), rows.weights(found.spread))
+    for j, outside in enumerate(span.outside(changes).T):
         size, total = float(outside @ outside), float(rest[span.joint(j)] @ rest[span.joint(j)])
         if size <= 0.0 or total <= 0.0:
             continue

@@ -34,12 +34,10 @@ from lieid_casadi.recording import Processed, Recording, process
 LEAST, LEAST_END, END_PART = 12.0, 4.0, 0.1
 RATIO = 2.0  # of the smallest transient error to the largest other error of a joint
 GAP = 0.5  # s between two events, and between two passes through the same state
-MOST_TIME = 0.4  # of a segment that transient errors may take: the scale is a median
-SAME_STATE = 0.2  # of the largest velocity, acceleration, load: two states are the same
+SAME_STATE = 0.3  # of the largest velocity, acceleration, load: two states are the same
 SAME_PLACE = 0.02  # of the range of positions: two positions are the same
-LEAST_VISITS = 3  # passes through the same state at other times, for comparison
 SIMILAR = 0.3  # of the error at the peak: from here another error is similar
-MOST_SIMILAR = 0.2  # of these passes: with more similar errors, it is a property of the arm
+MOST_SIMILAR = 0.5  # of other passes: with more similar errors, it is a property of the arm
 LAG = 4  # samples, one period of the cut-off: independent noise
 LEAST_SCALE = 1e-3  # of the RMS of a joint's torque
 FEWEST_FROZEN = 10  # rows with one and the same torque on every joint
@@ -105,9 +103,7 @@ def transient_events(fit: Fit, recordings: Sequence[Recording]) -> tuple[Event, 
     for own in signals:
         size = own.excess / scale
         errors = [e for j in range(fit.model.n) for e in outstanding(own, size, j)]
-        events = _together(errors, own.time)
-        if sum(e.stop - e.start for e in events) <= MOST_TIME * len(own.time):
-            found += [_event(own, scale, event) for event in events]
+        found += [_event(own, scale, event) for event in _together(errors, own.time)]
     return tuple(found)
 
 
@@ -382,7 +378,7 @@ def returns_with_state(own: ResidualSignals, stretch: slice, joint: int) -> bool
     """Return whether an error returns with the motion, or cannot be compared with other times."""
     near = _near(own.state[:, joint], SAME_STATE, own.excess[:, joint], stretch)
     visits, similar = _visits(own, stretch, joint, near, own.transient[:, joint])
-    return visits < LEAST_VISITS or similar > MOST_SIMILAR * visits
+    return visits == 0 or similar > MOST_SIMILAR * visits
 
 
 def returns_with_position(own: ResidualSignals, stretch: slice, joint: int) -> bool:
@@ -397,7 +393,7 @@ def returns_with_position(own: ResidualSignals, stretch: slice, joint: int) -> b
     near = _near(own.place[:, [joint]], SAME_PLACE, own.excess[:, joint], stretch)
     for signed in (error, error * own.direction[:, joint]):
         visits, similar = _visits(own, stretch, joint, near, signed)
-        if 2 * similar > visits:
+        if similar > MOST_SIMILAR * visits:
             return True
     return False
 

@@ -67,7 +67,7 @@ def fit_report(fit: Fit) -> str:
 def diagnosis_report(diagnosis: lieid.Diagnosis, comparison: Comparison | None = None) -> str:
     """Return the HTML report of a diagnosis; with a comparison of its last fit, that too."""
     fit, sentences = diagnosis.fit, diagnosis.sentences
-    summary = diagnosis_summary(diagnosis)
+    summary = diagnosis.summary
     sentences = [summary, *sentences] if summary else sentences
     errors = diagnosis.error_table()
     evidence = table_section(
@@ -123,20 +123,6 @@ def experiment_report(result: lieid.Experiment) -> str:
         sections.append(table_section("Last diagnosis", found.error_table()))
         sections.append(table_section("Evidence", evidence_table(found)))
     return render(f"{result.robot}: experiment", sections)
-
-
-def diagnosis_summary(diagnosis: lieid.Diagnosis) -> str:
-    """Return by how much the error falls with all effects; empty if none was found."""
-    _, errors = diagnosis.shown
-    if not diagnosis.steps or len(errors) < 2:
-        return ""
-    name, floor = diagnosis.reference
-    changed = diagnosis.mode == "changed"
-    return fall_sentence(
-        errors[0], errors[-1], floor,
-        where="the new recordings" if changed else "unseen motion",
-        reference="the expected error" if name == "expected" else "its noise floor",
-    )  # fmt: skip
 
 
 def extension_report(extension: Extension) -> str:
@@ -250,7 +236,8 @@ def _after_diagnosis(diagnosis: lieid.Diagnosis) -> list[tuple[str, str]]:
         found.append(("find the model of the arm as it is now", shlex.join(again)))
     elif diagnosis.steps:
         again = ["lieid", "identify", "ROBOT", *train, *tested]
-        again += ["--effects", effects, "-o", "fit.json"]
+        again += ["--effects", effects, "--method", diagnosis.fit.method]
+        again += ["--cutoff", f"{diagnosis.fit.processing.cutoff:.6g}", "-o", "fit.json"]
         found.append(("fit the model with these effects", shlex.join(again)))
     if diagnosis.steps or diagnosis.verdict == "sufficient":
         fit = "fit.json" if diagnosis.steps else "FIT"

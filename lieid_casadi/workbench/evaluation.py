@@ -19,7 +19,6 @@ from lieid_casadi.json_numbers import number_or_none, numbers_or_none
 from lieid_casadi.messages import in_unit
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processing, Recording, check, process
-from lieid_casadi.report.reports import diagnosis_summary
 from lieid_casadi.tables import Table, figures, make_table, with_std
 from lieid_casadi.workbench.arm import ArmMesh, arm_meshes
 from lieid_casadi.workbench.session import FoundEffects, ProposedEffect, Session, StepErrors
@@ -241,7 +240,7 @@ def found_effects(diagnosis: Diagnosis, effects: tuple[str, ...]) -> FoundEffect
         unexplained=tuple(map(unexplained_sentence, diagnosis.unexplained)),
         model=tuple(p.label for p in model.placements),
         path=tuple(tuple(numbers_or_none(errors)) for errors in path),
-        summary=diagnosis_summary(diagnosis),
+        summary=diagnosis.summary,
     )
 
 

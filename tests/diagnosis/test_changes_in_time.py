@@ -54,11 +54,35 @@ def test_friction_that_changes_at_an_instant_is_stated_and_no_effect_takes_its_p
     assert shown in diagnosis.sentence
 
 
-def test_friction_that_changes_in_each_recording_is_one_change():
+def later(recording, begin):
+    """Return a recording whose clock begins at a time, s."""
+    q, dq, tau = recording.q, recording.dq, recording.tau
+    return lieid.Recording.from_arrays(recording.t + begin, q, dq, tau, name=recording.name)
+
+
+@pytest.mark.parametrize("begin", [0.0, 1.7e9])  # as of a log that counts from 1970
+def test_friction_that_changes_in_each_recording_is_one_change(begin):
     train = [measured(more_friction(0.3), seed=k, name=f"{k}.csv") for k in (1, 2)]
-    (found,) = lieid.diagnose(MODEL, train).differing
+    diagnosis = lieid.diagnose(MODEL, [later(r, begin * k) for k, r in enumerate(train, start=1)])
+    assert not diagnosis.steps
+    (found,) = diagnosis.differing
     assert (found.label, found.recording) == ("coulomb:2", "each recording")
     assert found.since == pytest.approx(INSTANT, abs=0.1)
+
+
+def test_an_instant_of_one_recording_is_that_of_its_clock():
+    (found,) = lieid.diagnose(MODEL, later(measured(more_friction(0.6), seed=3), 500.0)).differing
+    assert found.since == pytest.approx(500.0 + INSTANT, abs=0.1)
+
+
+def test_what_differs_between_recordings_after_a_fit_is_no_change_of_the_arm():
+    fit = lieid.identify(MODEL, measured(seed=2, name="before.csv"))
+    more = measured(lambda s: 0.6 * s.sign[..., 1], seed=3, name="b.csv")
+    diagnosis = lieid.diagnose(fit, [measured(seed=4, name="a.csv"), more])
+    assert not diagnosis.steps
+    (found,) = diagnosis.differing
+    assert (found.label, found.recording, found.since) == ("coulomb:2", "b.csv", None)
+    assert found.parameters["f_c"] == pytest.approx(0.6, rel=0.05)
 
 
 def test_friction_that_changes_after_a_fit_is_a_change_of_that_recording_from_an_instant_on():

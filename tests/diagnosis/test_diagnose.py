@@ -37,7 +37,7 @@ from lieid_casadi.diagnosis.candidates import (
 )
 from lieid_casadi.diagnosis.columns import scan_peaks
 from lieid_casadi.diagnosis.findings import finding
-from lieid_casadi.diagnosis.folds import folds_of
+from lieid_casadi.diagnosis.folds import folds_of, places
 from lieid_casadi.diagnosis.result import alias_sentence
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.diagnosis.smooth_functions import followed_signals
@@ -112,6 +112,31 @@ def test_parts_are_apart_by_the_correlation_of_the_noise():
     for held, out in zip(folds.held, folds.out, strict=True):
         apart = np.abs(times[~out][:, None] - times[held]).min()
         assert apart >= folds.gap
+
+
+def test_parts_of_periodic_motion_with_a_gap_are_stretches_of_the_period():
+    t = np.arange(0.0, 40.0, 0.002)
+    motion = plant.FourierTrajectory(ROBOT, base_frequency=0.1, seed=3).at(t % 10.0)
+    arm = arm_with()
+    whole = plant.measure_along(arm, t, *motion, sensors=plant.demo_sensors(ROBOT), seed=1)
+    kept = (whole.t < 13.0) | (whole.t > 14.5)
+    signals = whole.q[kept], whole.dq[kept], whole.tau[kept]
+    recording = lieid.Recording.from_arrays(whole.t[kept] + 100.0, *signals)
+    fit = lieid.identify(MODEL, recording)
+    rows = Rows.of(fit, process([recording], fit.processing), with_candidates=False)
+    part, _ = places(rows, 10)
+    phase = rows.clock % 10.0
+    for k in range(10):
+        inside = (phase > k + 0.1) & (phase < k + 0.9)
+        assert len(np.unique(part[inside])) == 1
+
+
+def test_a_search_that_ends_at_its_rounds_says_so(monkeypatch):
+    assert diagnosis_of(LOAD_FRICTION).limits_reached == ()
+    monkeypatch.setattr(missing, "ROUNDS", 1)
+    cut = lieid.diagnose(MODEL, *two_runs(LOAD_FRICTION))
+    assert cut.limits_reached == ("rounds",)
+    assert "The search ended at its limit (rounds); further effects may be missing" in cut.sentence
 
 
 @pytest.mark.parametrize(
@@ -966,6 +991,21 @@ def test_sizes_of_changes_are_those_beside_each_other():
     assert [row[0] for row in found.error_table().rows][-1] == "expected"
     sizes = {s.label: next(iter(s.parameters.values())) for s in found.steps}
     assert sizes == pytest.approx({"coulomb:1": 0.8, "viscous:1": 0.5}, rel=0.03)
+
+
+def test_errors_beside_a_change_are_those_of_the_others_fitted_again():
+    """More dry and less viscous friction nearly cancel: each alone is much smaller."""
+    later = run(arm_with(), 3)
+    speed, tau = later.dq[:, 0], later.tau.copy()
+    tau[:, 0] += 1.5 * np.tanh(speed / 0.003) - 1.2 * speed
+    found = lieid.diagnose(unchanged_fit(), replace(later, tau=tau))
+    assert {step.label for step in found.steps} == {"coulomb:1", "viscous:1"}
+    rows = [found.baseline, *(step.errors for step in found.steps)]
+    errors = [row["rms_test_moving"][0] for row in rows]
+    assert errors == sorted(errors, reverse=True)
+    # without the later one is the model with the earlier one
+    assert found.steps[1].before == pytest.approx(errors[1], rel=1e-6)
+    assert all(0.0 < step.fall.test < errors[0] for step in found.steps)
 
 
 def test_an_unchanged_arm_is_sufficient():

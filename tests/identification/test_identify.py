@@ -58,6 +58,17 @@ def test_base_parameters_are_recovered(method):
     assert np.all(fit.std > 0.0)
 
 
+@pytest.mark.parametrize("method", ["wls", "robust"])
+def test_a_joint_without_torque_does_not_outweigh_the_others(method):
+    """As one whose torque was not recorded: it is fitted exactly."""
+    _, recording = measured(torque_noise=0.05)
+    lost = replace(recording, tau=recording.tau * [1.0, 0.0])
+    model = lieid.Model(ROBOT, "coulomb,viscous,offset")
+    fits = [lieid.identify(model, lost, method=m, processing=CUTOFF) for m in (method, "ols")]
+    weighted, plain = (fit.rms_train[0] for fit in fits)
+    assert weighted < 1.5 * plain
+
+
 def test_the_fit_is_the_least_squares_solution_of_filtered_columns():
     """Against numpy.linalg.lstsq on columns that this test filters and stacks itself."""
     from scipy.signal import butter, sosfiltfilt

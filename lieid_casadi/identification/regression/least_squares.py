@@ -229,6 +229,9 @@ ITERATIONS = 50
 CONVERGED = 1e-4
 HUBER = 1.345  # 95 % efficiency under normal noise
 SMALLEST_NOISE = 1e-12
+#: Least noise of a joint, of the RMS torque of all: rows of one that is fitted exactly, as of a
+#: torque that was not recorded, must not be all that counts.
+LEAST_NOISE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,9 +272,10 @@ def robust(rows: Rows) -> Weighting:
     start = wls(rows)
     values, converged = solve(start.factor).values, False
     weights, noise, factor = list(start.rows), start.noise, start.factor
+    least = _least_noise(rows)
     for _ in range(ITERATIONS):
         residuals = rows.residuals(values)
-        noise = np.array([max(_mad(e), SMALLEST_NOISE) if len(e) else 1.0 for e in residuals])
+        noise = np.array([max(_mad(e), least) if len(e) else 1.0 for e in residuals])
         # rows are multiplied by the square root of Huber's weight over the joint's noise
         weights = [
             np.sqrt(np.minimum(1.0, HUBER * s / np.maximum(np.abs(e), SMALLEST_NOISE))) / s
@@ -292,14 +296,20 @@ ESTIMATORS = {"ols": ols, "wls": wls, "robust": robust}
 
 def _noise(factors: list[Factor], values: Array, rows: Rows) -> Array:
     """Return each joint's residual standard deviation (n,); 1 where a joint has no rows."""
-    noise = []
+    noise, least = [], _least_noise(rows)
     for factor, joint in zip(factors, rows.joints, strict=True):
         # parameters are shared between joints: each joint has its part of their number
         share = len(joint.columns) * factor.rows / max(_uses(rows, joint.columns), 1)
         freedom = max(factor.rows - share, 1.0)
         size = np.sqrt(factor.misfit(values) / freedom) if factor.rows else 1.0
-        noise.append(max(float(size), SMALLEST_NOISE))
+        noise.append(max(float(size), least))
     return np.array(noise)
+
+
+def _least_noise(rows: Rows) -> float:
+    torque = np.concatenate([joint.torque for joint in rows.joints])
+    rms = float(np.linalg.norm(torque)) / np.sqrt(max(len(torque), 1))
+    return max(LEAST_NOISE * rms, SMALLEST_NOISE)
 
 
 def _uses(rows: Rows, columns: Indices) -> float:
