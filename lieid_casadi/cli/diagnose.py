@@ -35,7 +35,8 @@ def run(args: Args) -> output.Outcome:
     --seed N: seed = 0  stated in the result; a diagnosis draws no random numbers
     --worth PART: part  least relative fall of a joint's held-out error that is a finding;
         default: 0.03 for missing effects, 0.1 of the error for changes since a fit
-    -o/--output fit.json: output  write the fit with the effects that were found
+    -o/--output fit.json: output  write the fit with the effects that were found; FIT as it was
+        with FIT REC…
     @ONLY_WITH_TRAIN @RECORDING @DESPITE_CHECK @JSON @HTML
     """
     from lieid_casadi.report import diagnosis_report
@@ -127,9 +128,7 @@ def shown(diagnosis: lieid.Diagnosis) -> Iterator[str | Table | LieidWarning]:
         rejected_table,
     )
 
-    yield from diagnosis.sentences
-    if summary := diagnosis.summary:
-        yield summary
+    yield from filter(None, [*diagnosis.sentences, diagnosis.summary])
     yield diagnosis.error_table()
     yield motion_table(diagnosis)
     yield evidence_table(diagnosis)
@@ -140,6 +139,8 @@ def shown(diagnosis: lieid.Diagnosis) -> Iterator[str | Table | LieidWarning]:
             without = any(event.kind != "standstill" for event in diagnosis.events)
             where = ", fitted without what is left out" if without else ""
             yield f"The model with these effects{where}: --effects '{effects}'"
+        else:
+            yield "The fit is kept as it was; what has changed is not in it."
     yield rejected_table(diagnosis)
     if not diagnosis.rejected:  # whose table states it
         yield f"{diagnosis.tried} candidates were tried."
