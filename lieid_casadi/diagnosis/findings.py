@@ -197,7 +197,7 @@ def difference_sentence(each: Difference) -> str:
         )
     what = "is not the same in all" if each.of_model else "is not found in all"
     return (
-        f"The training recordings differ from each other: in {each.recording}, {each.effect} "
+        f"The recordings differ from each other: in {each.recording}, {each.effect} "
         f"on {where} ({text}) {what}, so it is no effect of the arm."
     )
 
