@@ -41,6 +41,7 @@ VELOCITY_SCALES = (3.0, 0.35)
 #: dead zone: friction that builds up sooner changes its sign at another instant, and no more. Such
 #: a hysteresis is tried, so that no other effect is in its place, and refused.
 LEAST_WIDTH = 6.0
+LEAST_COUNTS = 4.0  # steps of the recorded position: a narrower deflection lies between two
 LEAST_SHAPE = 0.5  # of the least value that the motion resolves
 AT_BOUND = 0.02  # relative distance from a bound
 LEAST_DELAY = 1.0  # samples: a velocity from differences is late by as much, commands are held
@@ -242,6 +243,7 @@ def shape_limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tup
         high = VELOCITY_SCALES[1] * top
     elif shape.resolved_by == "distance":
         low = LEAST_WIDTH * max(float(s.dead_zone[joint]) / s.rate for s in segments)
+        low = max(low, LEAST_COUNTS * max(float(s.position_step[joint]) for s in segments))
         high = shape.upper
     elif shape.resolved_by == "command_error":
         low, high = command_error_range(segments, joint)

@@ -184,8 +184,7 @@ def _reason(
         return "without it the error is as expected of the fit"
     fall = float(_falls(found, expected, changes, change)[raised].max(initial=-np.inf))
     if fall < options.worth_of_change:
-        percent = f"{100 * max(fall, 0.0):.1f} %"
-        return f"where the error has risen, it lowers it by only {percent}"
+        return f"where the error has risen, it lowers it by only {100 * max(fall, 0.0):.1f} %"
     if slot.evidence.deviations < options.gain_deviations:
         return slot.reason(options)
     part = len(changes) / sum(c.of_arm for c in found.paths.columns.owners)

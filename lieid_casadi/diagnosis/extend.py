@@ -89,8 +89,7 @@ class Extension:
 
         recordings = "held-out training data" if self.rms_test_moving is None else "test"
         names = ["before", f"+ {', '.join(self.added)}"]
-        where = f"{recordings}, joints in motion"
-        return draw_errors(list(self.held_out), names, None, where, ax)
+        return draw_errors(list(self.held_out), names, None, f"{recordings}, joints in motion", ax)
 
 
 def extend(
@@ -160,10 +159,7 @@ def _doubtful(fit: Fit, added: Sequence[Placement]) -> list[LieidWarning]:
         if coefficient is None:
             continue
         if abs(value) < SIGNIFICANT * std:
-            why = (
-                "not significantly different from zero: the effect is probably not present on this "
-                "joint"
-            )
+            why = "not significantly different from zero: the effect is probably not present"
         elif coefficient.opposes_motion and value < 0.0:
             why = (
                 f"negative, but {coefficient.meaning} is expected to be positive: the effect is "

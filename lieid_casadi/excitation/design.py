@@ -159,8 +159,7 @@ class ExcitationProblem:
 
     def excesses(self, z: Array) -> list[Excess]:
         """Return the excess of every quantity at z, on the fine grid."""
-        trajectory = self.parametrization.trajectory(z)
-        return excesses_along(trajectory, self.sets, self.sample_count)
+        return excesses_along(self.parametrization.trajectory(z), self.sets, self.sample_count)
 
     def within_limits(self, z: Array) -> bool:
         """Return whether the motion keeps every limit on the fine grid."""

@@ -84,8 +84,7 @@ def _on_grid(segment: Recording, processing: Processing) -> tuple[Processed, ...
     rate = segment.rate if len(segment.t) > 1 else 0.0
     cutoff = min(processing.cutoff, HIGHEST_CUTOFF * rate)
     if len(segment.t) >= FEWEST_SAMPLES and segment.duration * cutoff >= 1.0:
-        options = replace(processing, cutoff=cutoff, trim=0.0)
-        return process(segment, options)
+        return process(segment, replace(processing, cutoff=cutoff, trim=0.0))
     return (_as_measured(segment, processing),)
 
 

@@ -143,6 +143,11 @@ class Processed:
         columns = [x.protected(self.t, error[:, j], self.dq[:, j]) for j, x in enumerate(laws)]
         return ~np.stack(columns, axis=1)
 
+    @cached_property
+    def position_step(self) -> Array:
+        """Smallest step (n,) between recorded positions: a count of an encoder, or rounding."""
+        return spectrum.resolution(self.recording.q)
+
     def __len__(self) -> int:
         return int(self.t.size)
 

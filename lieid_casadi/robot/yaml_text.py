@@ -84,8 +84,7 @@ class _Composer:
         if isinstance(event, yaml.ScalarEvent):
             return _scalar(event.value) if event.implicit[0] else event.value
         if isinstance(event, yaml.SequenceStartEvent):
-            items = self._until(yaml.SequenceEndEvent)
-            return [self._value(item, depth + 1) for item in items]
+            return [self._value(item, depth + 1) for item in self._until(yaml.SequenceEndEvent)]
         mapping: dict[str, Any] = {}
         for key in self._until(yaml.MappingEndEvent):
             if not isinstance(key, yaml.ScalarEvent):

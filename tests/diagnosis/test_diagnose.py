@@ -465,6 +465,20 @@ def test_a_hysteresis_narrower_than_a_sample_at_rest_resolves_is_refused():
     assert shape_grid(candidate.effect, segments, 0).min() < 6.0 * sample  # narrow ones compete
 
 
+def test_a_deflection_between_two_counts_of_the_encoder_is_refused():
+    """Though the recorded velocity is finer."""
+    count, whole = 4e-4, run(arm_with(), 1)
+    coarse = replace(whole, q=count * np.round(whole.q / count))
+    fit = lieid.identify(MODEL, whole)
+    (segment,) = process([coarse], fit.processing)
+    (placement,) = place("presliding:1", 2)
+    candidate, one = Candidate(placement, np.array([[count]])), np.ones(1)
+    reasons = [
+        unresolved_shape(candidate, np.array([w]), one, [segment]) for w in (1.5 * count, 0.02)
+    ]
+    assert reasons == ["w = 0.0006 rad is below what this motion can resolve", None]
+
+
 def test_an_effect_needs_evidence_together_and_its_name_each(monkeypatch):
     train = two_runs(("stribeck", 0, 1.0))[0]
     (step,) = lieid.diagnose(MODEL, train).steps

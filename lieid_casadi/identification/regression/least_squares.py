@@ -308,8 +308,8 @@ def _noise(factors: list[Factor], values: Array, rows: Rows) -> Array:
 
 def _least_noise(rows: Rows) -> float:
     torque = np.concatenate([joint.torque for joint in rows.joints])
-    rms = float(np.linalg.norm(torque)) / np.sqrt(max(len(torque), 1))
-    return max(LEAST_NOISE * rms, SMALLEST_NOISE)
+    rms = np.linalg.norm(torque) / np.sqrt(max(len(torque), 1))
+    return max(LEAST_NOISE * float(rms), SMALLEST_NOISE)
 
 
 def _uses(rows: Rows, columns: Indices) -> float:
