@@ -37,7 +37,7 @@ GAP = 0.5  # s between two events, and between two passes through the same state
 SAME_STATE = 0.3  # of the largest velocity, acceleration, load: two states are the same
 SAME_PLACE = 0.02  # of the range of positions: two positions are the same
 SIMILAR = 0.3  # of the error at the peak: from here another error is similar
-MOST_SIMILAR = 0.5  # of other passes: with more similar errors, it is a property of the arm
+MOST_SIMILAR = 0.2  # of these passes: with more similar errors, it is a property of the arm
 LAG = 4  # samples, one period of the cut-off: independent noise
 LEAST_SCALE = 1e-3  # of the RMS of a joint's torque
 FEWEST_FROZEN = 10  # rows with one and the same torque on every joint
@@ -393,7 +393,7 @@ def returns_with_position(own: ResidualSignals, stretch: slice, joint: int) -> b
     near = _near(own.place[:, [joint]], SAME_PLACE, own.excess[:, joint], stretch)
     for signed in (error, error * own.direction[:, joint]):
         visits, similar = _visits(own, stretch, joint, near, signed)
-        if similar > MOST_SIMILAR * visits:
+        if 2 * similar > visits:
             return True
     return False
 
