@@ -81,7 +81,8 @@ class UnseenMotion:
             require_positive_mass_matrix(fit, [run for run, _, _ in self.windows])
             fits, used = self._fits_without(fit), [w for w in self.windows if len(w[1])]
             found = [window_errors([fits[k] for k in part], run, s) for run, s, part in used]
-            self.errors[fit] = np.concatenate(found)
+            steps = min(run.per_window for run, _, _ in used)  # each segment has its own rate
+            self.errors[fit] = np.concatenate([errors[:, :steps] for errors in found])
         return self.errors[fit]
 
     def _fits_without(self, fit: Fit) -> list[Fit]:

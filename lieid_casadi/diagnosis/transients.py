@@ -34,8 +34,9 @@ from lieid_casadi.recording import Processed, Recording, process
 LEAST, LEAST_END, END_PART = 12.0, 4.0, 0.1
 RATIO = 2.0  # of the smallest transient error to the largest other error of a joint
 GAP = 0.5  # s between two events, and between two passes through the same state
-SAME_STATE = 0.3  # of the largest velocity, acceleration, load: two states are the same
+SAME_STATE = 0.2  # of the largest velocity, acceleration, load: two states are the same
 SAME_PLACE = 0.02  # of the range of positions: two positions are the same
+LEAST_VISITS = 2  # passes through the same state at other times, for comparison
 SIMILAR = 0.3  # of the error at the peak: from here another error is similar
 MOST_SIMILAR = 0.2  # of these passes: with more similar errors, it is a property of the arm
 LAG = 4  # samples, one period of the cut-off: independent noise
@@ -378,7 +379,7 @@ def returns_with_state(own: ResidualSignals, stretch: slice, joint: int) -> bool
     """Return whether an error returns with the motion, or cannot be compared with other times."""
     near = _near(own.state[:, joint], SAME_STATE, own.excess[:, joint], stretch)
     visits, similar = _visits(own, stretch, joint, near, own.transient[:, joint])
-    return visits == 0 or similar > MOST_SIMILAR * visits
+    return visits < LEAST_VISITS or similar > MOST_SIMILAR * visits
 
 
 def returns_with_position(own: ResidualSignals, stretch: slice, joint: int) -> bool:

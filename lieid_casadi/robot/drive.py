@@ -77,8 +77,7 @@ class Drive:
         self, error: Any, velocity: Any, *, clip: Callable[[Any, float, float], Any] = np.clip
     ) -> Any:
         """Return the position error (N,), rad, of that torque by the law without limits and D_v."""
-        torque = self.torque(error, velocity, clip=clip)
-        return (torque + self.damping * velocity) / self.stiffness
+        return (self.torque(error, velocity, clip=clip) + self.damping * velocity) / self.stiffness
 
     def protected(self, t: Array, error: Array, velocity: Array) -> Mask:
         """Return whether (N,) overload protection lowers the torque of the law at times t, s.
