@@ -81,8 +81,9 @@ class UnseenMotion:
             require_positive_mass_matrix(fit, [run for run, _, _ in self.windows])
             fits, used = self._fits_without(fit), [w for w in self.windows if len(w[1])]
             found = [window_errors([fits[k] for k in part], run, s) for run, s, part in used]
-            steps = min(run.per_window for run, _, _ in used)  # each segment has its own rate
-            self.errors[fit] = np.concatenate([errors[:, :steps] for errors in found])
+            count = min(errors.shape[1] for errors in found)  # of instants: rates may differ
+            at = [np.arange(1, count + 1) * e.shape[1] // count - 1 for e in found]
+            self.errors[fit] = np.concatenate([e[:, own] for e, own in zip(found, at, strict=True)])
         return self.errors[fit]
 
     def _fits_without(self, fit: Fit) -> list[Fit]:

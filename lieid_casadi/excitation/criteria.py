@@ -135,8 +135,7 @@ def stages(
 ) -> tuple[CriterionStage, ...]:
     """Return the stages that lead to a criterion's optimum; a new criterion has its own here."""
     if criterion == "combined":  # the paper's C1 (Eq. 20): C3, then C2 with a bound on C4
-        first = CriterionStage(Hadamard(), 60, 1e-5)
-        return (first, *stages("condition", metric))
+        return (CriterionStage(Hadamard(), 60, 1e-5), *stages("condition", metric))
     if criterion == "condition":
         return tuple(
             CriterionStage(Condition(metric, power), count, tolerance)

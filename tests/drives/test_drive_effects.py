@@ -28,7 +28,7 @@ from lieid_casadi.recording import choose_cutoff, process
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.spectrum import motion_band
 from lieid_casadi.robot.yaml_file import write_yaml
-from lieid_casadi.simulation.runs import with_coefficients
+from lieid_casadi.simulation.runs import window_errors, with_coefficients
 
 ROBOT = TWO_LINK.with_drives(LAWS)
 BASE = "coulomb,viscous,offset"
@@ -215,6 +215,23 @@ def test_a_play_that_parts_of_the_data_do_not_show_can_be_compared(runs):
     fits = unseen._fits_without(with_coefficients(fit, values))
     shown = {each.effect_coefficients[play] > 0.0 for each in fits}
     assert shown == {True}
+
+
+def test_recordings_of_unlike_rates_are_compared_at_the_ends_of_their_windows(runs):
+    """As pieces are whose rates differ in the last digits, where contact is left out."""
+    fine = with_torque(runs[0])
+    signals = {name: getattr(fine, name)[::2] for name in ("t", "q", "dq", "tau", "command")}
+    recordings = [fine, replace(fine, name="coarse", **signals)]
+    fit = lieid.identify(lieid.Model(ROBOT, f"{BASE},armature"), recordings)
+    segments = process(recordings, fit.processing)
+    rows = Rows.of(fit, segments, with_candidates=False)
+    unseen = UnseenMotion.of(rows, folds_of(rows, rows.residual, 10))
+    fits = unseen._fits_without(fit)
+    ends = [window_errors([fits[k] for k in own], run, s)[:, -1] for run, s, own in unseen.windows]
+    gain = unseen.gain(fit, fit)
+    np.testing.assert_allclose(gain.before, np.sqrt(np.mean(np.concatenate(ends) ** 2, axis=0)))
+    assert gain.fall == 0.0
+    assert [len(of_run) > 0 for of_run in ends] == [True, True]
 
 
 def test_the_error_of_a_sound_arm_is_noise(monkeypatch):
