@@ -129,6 +129,14 @@ class Columns:
         return low, high
 
     @cached_property
+    def places(self) -> list[Indices]:
+        """Place of each column (m,) among those of each joint, −1 where it is not among them."""
+        found = [np.full(self.count, -1, dtype=np.intp) for _ in self.joints]
+        for place, own in zip(found, self.joints, strict=True):
+            place[own.columns] = np.arange(len(own.columns))
+        return found
+
+    @cached_property
     def by_size(self) -> tuple[tuple[Indices, Indices], ...]:
         """The groups of each size, and their columns (g, k)."""
         found = []
@@ -144,6 +152,13 @@ class Columns:
         second = [np.tile(own, own.shape[1]).ravel() for _, own in self.by_size]
         none = np.zeros(0, dtype=np.intp)
         return np.concatenate([none, *first]), np.concatenate([none, *second])
+
+    @cached_property
+    def diagonal(self) -> Indices:
+        """The place in `pairs` of each column's product with itself (m,)."""
+        first, second = self.pairs
+        at = np.flatnonzero(first == second)
+        return np.asarray(at[np.argsort(first[at])])
 
     def within(self, products: Array) -> list[Array]:
         """Return products of `pairs` as (g, k, k) of the groups of each size, which are views."""
@@ -177,12 +192,9 @@ class Columns:
     def dense(self, group: int) -> list[Array]:
         """Return a group's columns on the rows of each joint: (R_j, k) each."""
         wanted, found = self.of_group(group), []
-        for own in self.joints:
-            dense = np.zeros((len(own.matrix), len(wanted)))
-            at = np.searchsorted(own.columns, wanted)
-            here = at < len(own.columns)
-            here[here] = own.columns[at[here]] == wanted[here]
-            dense[:, here] = own.matrix[:, at[here]]
+        for own, place in zip(self.joints, self.places, strict=True):
+            dense, at = np.zeros((len(own.matrix), len(wanted))), place[wanted]
+            dense[:, at >= 0] = own.matrix[:, at[at >= 0]]
             found.append(dense)
         return found
 

@@ -116,9 +116,7 @@ class Paths:
             for out in left_out
         ]
         raw = self._raw(-1)
-        self.norms = np.zeros(count)  # squares of the columns themselves
-        for gram, (_, places) in zip(columns.within(raw.inner), columns.by_size, strict=True):
-            self.norms[places] = np.einsum("gkk->gk", gram)
+        self.norms = raw.inner[columns.diagonal]  # squares of the columns themselves
         self.whole = self._outside(raw, np.eye(span.basis.shape[1]), np.zeros(len(self._along)))
         self.parts: list[Products] = []
         self._raw_qz: list[Array] = []  # basis and columns themselves on the rows of each part
@@ -127,6 +125,7 @@ class Paths:
             of_part = self._raw(k)
             self._raw_qz.append(of_part.qz)
             self.parts.append(self._outside(of_part, q.T @ q, q.T @ r))
+        self._starts: dict[int, PathState] = {}
         self._cross: dict[tuple[int, int], Array] = {}
         self._own: dict[int, Array] = {}
 
@@ -146,10 +145,9 @@ class Paths:
 
     def grams(self, a: Array, b: Array) -> Array:
         """Return the products within groups of columns of a (p, m) with those of b."""
-        found, rows, others = np.zeros(len(self.columns.pairs[0])), a.T.copy(), b.T.copy()
-        for gram, (_, places) in zip(self.columns.within(found), self.columns.by_size, strict=True):
-            gram[:] = rows[places] @ others[places].swapaxes(1, 2)
-        return found
+        first, second = self.columns.pairs
+        products = (x[first] * y[second] for x, y in zip(a, b, strict=True))
+        return sum(products, start=np.zeros(len(first)))
 
     def _rows(self, part: int, j: int) -> tuple[slice | Mask, Array]:
         """Return the rows of joint j that a path leaves out, and the columns there; −1 for all."""
@@ -166,12 +164,10 @@ class Paths:
             use, matrix = self._rows(part, j)
             qz[:, own.columns] += span.basis[span.joint(j)][use].T @ matrix
             zr[own.columns] += matrix.T @ span.residual[span.joint(j)][use]
-            place = np.full(columns.count, -1)
-            place[own.columns] = np.arange(len(own.columns))
             for gram, (_, of_size) in zip(columns.within(inner), columns.by_size, strict=True):
-                here = np.flatnonzero((place[of_size] >= 0).all(axis=1))
+                here = np.flatnonzero((columns.places[j][of_size] >= 0).all(axis=1))
                 if len(here):
-                    values = np.moveaxis(matrix[:, place[of_size[here]]], 0, 1)
+                    values = np.moveaxis(matrix[:, columns.places[j][of_size[here]]], 0, 1)
                     gram[here] += np.swapaxes(values, 1, 2) @ values
         return Products(np.zeros((0, 0)), np.zeros(0), qz, zr, inner)
 
@@ -182,46 +178,44 @@ class Paths:
         return Products(qq, qr, qz, raw.zr - along.T @ qr, inner)
 
     def cross(self, group: int, part: int) -> Array:
-        """Return the products (m, k) of all columns with those of a group, on a path's rows."""
+        """Return the products (k, m) of a group's columns with all, beside the model of a path."""
         if (group, part) not in self._cross:
-            found = self._cross_of(group, part)
-            self._cross[group, part] = found if part < 0 else self.cross(group, -1) - found
+            own = self.columns.of_group(group)
+            found = self._cross_of(own, part)
+            if part >= 0:
+                model = self.state(part).model
+                found = self.cross(group, -1) - found - model[:, own].T @ model
+            self._cross[group, part] = found
         return self._cross[group, part]
 
-    def _cross_of(self, group: int, part: int) -> Array:
-        """Return the products of `cross` on all rows, or on those that a path leaves out."""
-        columns, along = self.columns, self._along
-        own = columns.of_group(group)
-        raw = np.zeros((columns.count, len(own)))
-        for j, (of_joint, dense) in enumerate(
-            zip(columns.joints, columns.dense(group), strict=True)
-        ):
-            if dense.any():
-                use, matrix = self._rows(part, j)
-                raw[of_joint.columns] += matrix.T @ dense[use]
+    def _cross_of(self, own: Indices, part: int) -> Array:
+        """Return products of a group with all, on all rows, or on those that a path leaves out."""
+        along, raw = self._along, np.zeros((len(own), self.columns.count))
+        for j, of_joint in enumerate(self.columns.joints):
+            at = self.columns.places[j][own]
+            if (at >= 0).all():  # a group acts with all of its columns, or not at all
+                _, matrix = self._rows(part, j)
+                raw[:, of_joint.columns] += matrix[:, at].T @ matrix
         if part < 0:
-            return np.asarray(raw - along.T @ along[:, own])
+            return np.asarray(raw - along[:, own].T @ along)
         outside, qz = self.parts[part].qz[:, own], self._raw_qz[part]
-        return np.asarray(raw - along.T @ outside - qz.T @ along[:, own])
+        return np.asarray(raw - outside.T @ along - along[:, own].T @ qz)
 
     def state(self, part: int) -> PathState:
         """Return the state of a path at its start; −1 is the path on all rows."""
+        if part in self._starts:
+            return self._starts[part]
         none = np.zeros((0, self.columns.count))
         own = self.whole if part < 0 else self.whole - self.parts[part]
+        share = 1.0 - (self.left_out[part].mean() if part >= 0 and self.left_out.size else 0.0)
         sizes, directions = np.linalg.eigh(own.qq)
         seen = sizes > LEAST_INFORMATION
         axes = directions[:, seen] / np.sqrt(sizes[seen])
-        along = axes.T @ own.qz
-        return PathState(
-            self,
-            part,
-            (),
-            along,
-            none,
-            np.zeros(0),
-            own.zr - along.T @ (axes.T @ own.qr),
-            own.inner - self.grams(along, along),
-        )
+        along, squares = axes.T @ own.qz, np.maximum(self.norms * share, 1e-300)
+        products = own.zr - along.T @ (axes.T @ own.qr)
+        inner = own.inner - self.grams(along, along)
+        found = PathState(self, part, (), squares, along, none, np.zeros(0), products, inner)
+        return self._starts.setdefault(part, found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,6 +225,8 @@ class PathState:
     paths: Paths
     part: int
     groups: tuple[int, ...]
+    #: (m,): squares of the columns themselves, in the share of all rows that the path uses
+    squares: Array
     #: (a, m): coordinates along the model's directions
     model: Array
     #: (b, m) and (b,): of the columns and of the residual along the directions of the path
@@ -246,37 +242,28 @@ class PathState:
         Groups with a column that lies in the span get no gain. Beside a kept model, which no fit
         follows, coefficients stay in the cells of their grid points unless they are ``free``.
         """
-        columns, norms = self.paths.columns, self.paths.norms
-        low, high = columns.cells
-        gains, values = np.zeros(len(columns.size)), np.zeros(columns.count)
-        share = 1.0
-        if self.part >= 0 and self.paths.left_out.size:
-            share -= self.paths.left_out[self.part].mean()
-        for (groups, own), inner in zip(columns.by_size, columns.within(self.inner), strict=True):
-            if wanted is not None and not (here := wanted[groups]).all():
-                groups, own, inner = groups[here], own[here], inner[here]
-            if not len(groups):
-                continue
-            gram, products = inner.copy(), self.products[own]
-            squares = np.maximum(norms[own] * share, 1e-300)
-            diagonal = gram.reshape(len(groups), -1)[:, :: own.shape[1] + 1]
-            least = LEAST_OWN_PART**2 * np.maximum.reduce(squares.T)
-            fine = np.maximum.reduce(diagonal.T) > least
-            diagonal += RIDGE * squares
-            values[own] = found = np.linalg.solve(gram, products[..., None])[..., 0]
-            gain = np.einsum("gk,gk->g", found, products)
-            beyond = found - np.clip(found, low[own], high[own])
-            if beyond.any() and self.paths.span.of_prior and not free:
-                gain -= np.einsum("gk,gkl,gl->g", beyond, gram, beyond)
-            gains[groups] = np.where(fine, gain, 0.0)
-        return gains, values
+        columns, (low, high) = self.paths.columns, self.paths.columns.cells
+        values, gram = np.zeros(columns.count), self.inner.copy()
+        own_part, least = (
+            np.maximum.reduceat(x, columns.start)
+            for x in (gram[columns.diagonal], LEAST_OWN_PART**2 * self.squares)
+        )
+        gram[columns.diagonal] += RIDGE * self.squares
+        for (groups, own), each in zip(columns.by_size, columns.within(gram), strict=True):
+            if wanted is None or wanted[groups].any():
+                values[own] = _solved(each, self.products[own])
+        gains = np.add.reduceat(values * self.products, columns.start)
+        if self.paths.span.of_prior and not free:
+            beyond, (first, second) = values - np.clip(values, low, high), columns.pairs
+            group = np.repeat(np.arange(len(columns.size)), columns.size)[first]
+            gains -= np.bincount(group, beyond[first] * gram * beyond[second])
+        used = own_part > least if wanted is None else wanted & (own_part > least)
+        return np.where(used, gains, 0.0), values
 
     def with_group(self, group: int) -> PathState:
         """Return the state with a further group."""
         own = self.paths.columns.of_group(group)
-        crossed = self.paths.cross(group, self.part).T
-        for along in (self.model, self.along):
-            crossed = crossed - along[:, own].T @ along
+        crossed = self.paths.cross(group, self.part) - self.along[:, own].T @ self.along
         sizes, axes = np.linalg.eigh(crossed[:, own])
         seen = sizes > RANK * max(float(sizes.max(initial=0.0)), 1e-300)
         roots = axes[:, seen] / np.sqrt(sizes[seen])
@@ -308,6 +295,17 @@ class PathState:
             products=self.products + lost.T @ of_residual,
             inner=self.inner + self.paths.grams(lost, lost),
         )
+
+
+def _solved(grams: Array, products: Array) -> Array:
+    """Return solutions (g, k) of g systems; of one or two unknowns all are solved at once."""
+    if products.shape[1] > 2:
+        return np.asarray(np.linalg.solve(grams, products[..., None])[..., 0])
+    if products.shape[1] == 1:
+        return products / grams[:, 0]
+    (a, b), (_, c), (x, y) = *np.moveaxis(grams, 0, -1), products.T
+    second = (y - b / a * x) / (c - b / a * b)
+    return np.stack([(x - b * second) / a, second], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,7 +365,8 @@ def _best(
     """
     columns, (gains, values) = state.paths.columns, found
     owners = columns.owner[list(state.groups)]
-    taken = np.isin(columns.owner, [*owners, *columns.common[owners]])
+    every = np.arange(len(columns.owners))
+    taken = np.isin(every, [*owners, *columns.common[owners]])[columns.owner]
     if state.paths.span.of_prior:  # delays that nearly cancel resemble friction of another form
         late = [g for g in state.groups if columns.delays[g]]
         taken |= columns.delays & columns.reach[columns.reach[:, late].any(axis=1)].any(axis=0)
@@ -383,8 +382,10 @@ def _best(
 
 def _exchanged(state: PathState, rules: Rules, refused: Mask) -> PathState:
     """Return the state with each group exchanged for the best one in its place, if it is better."""
-    own_size = np.zeros(len(rules.usable), dtype=bool)
+    own_size, complete = np.zeros(len(rules.usable), dtype=bool), state
     for group in state.groups:
+        if state is complete and group == state.groups[-1]:
+            break  # the last one was the best beside the others
         if state.paths.span.of_prior and not rules.usable[group]:
             continue  # between two points of its grid a large change is nearer to a function
         rest = state.without(group)
