@@ -290,11 +290,11 @@ def _held_out(columns: Array, errors: Array, out: Mask) -> Array:
     inside, count = columns[~out], int(np.sum(~out))
     spread, axes = np.linalg.eigh(inside.T @ inside / count)
     values = axes.T @ (inside.T @ errors[~out] / count)
-    along = columns[out] @ axes
+    along, target = columns[out] @ axes, errors[out]
     weights = 1.0 / (np.maximum(spread, 0.0) + PENALTIES[:, None])
-    return np.array(
-        [np.sum((errors[out] - along @ (w[:, None] * values)) ** 2, axis=0) for w in weights]
-    )
+    found = weights[:, :, None] * values
+    fall = np.sum(found * (2.0 * (along.T @ target) - (along.T @ along) @ found), axis=1)
+    return np.asarray(np.maximum(np.sum(target**2, axis=0) - fall, 0.0))
 
 
 STEEP = 10.0  # of the smoothed sign of a joint's velocity, relative to its top speed

@@ -169,7 +169,7 @@ def judge(
             rest = [g for g in path if g not in mine]
             without = held.errors([*rest, *beside]) if mine else complete
             # a part whose path lacks the effect counts with what the effect would be
-            change = without - complete if mine else held.on_rows(torque[group])
+            change = without - complete if mine else torque[group][held.rows]
             at = steady if "rest" in kinds else None
             less, more, size = (held.squares(x, at) for x in (without, complete, change))
             left, error, moved = (x[[*joints, n]].sum() for x in (less, more, size))
@@ -276,10 +276,10 @@ class HeldOut:
         axes = directions[:, seen] / np.sqrt(sizes[seen])
         every = np.column_stack([span.residual, *columns.values()])
         # on all rows together, residual and columns are orthogonal to the basis
-        along = -axes @ (axes.T @ (outside.T @ every[out]))
-        whole, lost = every.T @ every, every[out].T @ every[out]
-        self._whole, self._gram = whole, whole - lost + every[out].T @ outside @ along
-        self._rows, self._n = held, len(span.ends)
+        lost, self._whole = every[out], every.T @ every
+        along = -axes @ (axes.T @ (outside.T @ lost))
+        self._gram = self._whole - lost.T @ (lost - outside @ along)
+        self.rows, self._n = held, len(span.ends)
         self._joint = np.append(span.joint_of, np.full(further, self._n - 1))[held]
         self._share = np.where(self._joint < self._n - 1, 1.0, 1.0 / folds.count)
         self._held = every[held] - q[held] @ along
@@ -299,17 +299,13 @@ class HeldOut:
             error = error - self._held[:, own] @ values
         return np.asarray(error)
 
-    def on_rows(self, torque: Array) -> Array:
-        """Return a torque (R + k,) on the held-out rows."""
-        return np.asarray(torque[self._rows])
-
     def squares(self, errors: Array, at: Mask | None = None) -> Array:
         """Return the sum of squares (n + 1,) of errors: of each joint, and the part's of the prior.
 
         Of all held-out rows, or of those that are marked in ``at`` (R + k,).
         """
         squares = self._share * errors**2
-        squares = squares if at is None else squares * at[self._rows]
+        squares = squares if at is None else squares * at[self.rows]
         return np.asarray(np.bincount(self._joint, weights=squares, minlength=self._n), float)
 
 

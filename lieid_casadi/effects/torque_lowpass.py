@@ -10,6 +10,7 @@ from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
 from lieid_casadi.effects.torque_delay import change_where_known
 
+EQUAL = 1e-9  # of a step, by which instants differ because of rounding
 LEAST = 1e-3  # s; below it the column is the derivative, not the difference quotient
 
 
@@ -88,10 +89,8 @@ def first_order_lag(t: Array, x: Array, time_constant: float) -> Array:
     even = np.linspace(t[0], t[-1], len(t))
     step = (t[-1] - t[0]) / (len(t) - 1) / time_constant
     keep, mean = float(np.exp(-step)), float(-np.expm1(-step) / step)
-    y = np.empty(x.shape)
-    for j, column in enumerate(x.T):
-        given = np.interp(even, t, column)
-        state = np.array([mean * given[0]])
-        lagged, _ = lfilter([1.0 - mean, mean - keep], [1.0, -keep], given, zi=state)
-        y[:, j] = np.interp(t, even, lagged)
-    return y
+    equal = np.allclose(t, even, rtol=0.0, atol=EQUAL * (even[1] - even[0]))
+    given = x if equal else np.column_stack([np.interp(even, t, column) for column in x.T])
+    state = mean * given[:1]
+    y, _ = lfilter([1.0 - mean, mean - keep], [1.0, -keep], given, axis=0, zi=state)
+    return y if equal else np.column_stack([np.interp(t, even, column) for column in y.T])
