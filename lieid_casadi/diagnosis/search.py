@@ -106,7 +106,7 @@ def search(
     nothing = np.zeros((0, sum(run.count for run in rows.runs)), dtype=bool)
     rests = list[list[Array]]()
     for _ in range(2):  # on the first grid, then on finer ones around what it chose
-        paths = Paths(*_weighted(rows, scale, prior), nothing)
+        paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)), nothing)
         whole = forward(paths, -1, _rules(paths.columns, rows, options))
         rests = [residual_beside(paths, groups, rows, scale) for groups in (whole, ())]
         if noise is None:
@@ -120,7 +120,7 @@ def search(
     rows = _with_changes(rows, wanted, in_course=with_smooth)
     coarse = True
     while True:
-        paths = Paths(*_weighted(rows, scale, prior), nothing)
+        paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)), nothing)
         own_noise = noise
         if own_noise is None:
             first = forward(paths, -1, _rules(paths.columns, rows, options))
@@ -297,10 +297,6 @@ def _leaving(columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions)
     if certain == changes:
         return set()
     return {k for k, c in enumerate(columns.owners) if c.course is not None} - certain
-
-
-def _weighted(rows: Rows, spread: Array, prior: Array | None) -> tuple[Span, Columns]:
-    return rows.span(spread, prior), rows.columns.weighted(rows.weights(spread))
 
 
 def _dependence(columns: Columns, noise: Sequence[Noise], *, independent: bool) -> Array:
