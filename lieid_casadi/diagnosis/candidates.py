@@ -254,11 +254,7 @@ def shape_limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tup
 
 
 def _has_signals(effect: Effect, segments: Sequence[Processed], *, commanded: bool) -> bool:
-    """Return whether the recordings have what an effect acts on.
-
-    If their torque is that of a control law (``commanded``), effects of such drives act, and none
-    of a torque signal.
-    """
+    """Return whether the recordings have what an effect acts on: a torque signal, or commands."""
     if effect.commanded or effect.on_torque_signal:
         return commanded != effect.on_torque_signal
     measured = all(segment.temperature is not None for segment in segments)

@@ -179,7 +179,7 @@ class Columns:
         for own in self.joints:
             squares[own.columns] += np.einsum("rc,rc->c", own.matrix, own.matrix)
         group = np.repeat(np.arange(len(self.size)), self.size)
-        scale = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
+        scale = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 1e-300)
         whole, fourth = np.zeros((2, len(self.size)))
         for own in self.joints:
             here, first = np.unique(group[own.columns], return_index=True)

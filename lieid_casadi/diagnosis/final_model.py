@@ -84,12 +84,10 @@ class FinalModel:
         parameters = np.zeros_like(fit.parameters)
         parameters[fit.model.base.kept] = values
         rms, raw = training_rms(fit.compiled, self.segments, parameters, fit.shapes)
-        found = replace(
+        return replace(
             fit, values=values, parameters=parameters, rms_train=rms, rms_train_raw=raw,
             rms_cv=self.cross_validated(columns),
         )  # fmt: skip
-        vars(found)["compiled"] = fit.compiled  # of the same model, which would be compiled again
-        return found
 
     def rms_moving(self, without: Indices) -> Array:
         """Return the training error in motion (n,) without some columns, N·m."""

@@ -281,10 +281,7 @@ def _first_half(state: State, added: Sequence[Accepted]) -> tuple[State, list[Ac
 def _with_plausible_values(
     state: State, fit: Fit, added: Sequence[Accepted]
 ) -> tuple[State, list[Accepted]]:
-    """Return the effects whose values in a fit are plausible, and what stands for a refused one.
-
-    That are those that it replaced, or its nearest rival.
-    """
+    """Return the plausible effects of a fit, and what a refused one replaced, or its rival."""
     kept, search = list[Accepted](), state.search
     for found in added:
         reason = search.reason_against(fit, found)

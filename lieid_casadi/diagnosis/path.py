@@ -339,12 +339,9 @@ def forward(
 
 
 def _grown(state: PathState, rules: Rules) -> PathState:
-    """Return the state with the groups added that gain more than their penalty.
-
-    It ends where groups that are nearly dependent would replace each other for ever.
-    """
+    """Return the state with the groups added that gain more than their penalty."""
     refused = np.zeros(len(rules.usable), dtype=bool)
-    seen = set[frozenset[int]]()
+    seen = set[frozenset[int]]()  # nearly dependent groups would replace each other for ever
     while len(state.groups) < rules.most and frozenset(state.groups) not in seen:
         seen.add(frozenset(state.groups))
         best = _best(state, state.gains(rules.usable), rules, refused)

@@ -60,10 +60,7 @@ def rivals_of(
 
 
 def _examined(found: Round, gains: Array, values: Array, slot: Slot, torque: Array) -> list[int]:
-    """Return the best group of each candidate that can replace most of an effect's torque.
-
-    Those that stand in its place in a path without a held-out part come first.
-    """
+    """Return the best group of each candidate that can replace most of an effect's torque."""
     columns, rows = found.paths.columns, found.rows
     mine = columns.candidate(slot.group)
     fine = gains > LEAST_GAIN * gains[slot.group]
@@ -116,9 +113,9 @@ def _squares(found: Round, columns: Sequence[Array], block: Indices) -> Array:
 
 
 def _difference(found: Round, mine: Array, theirs: Array, parameters: int) -> tuple[float, float]:
-    """Return the mean by which another model's squares are larger, and its standard error.
+    """Return by how much another model's squares are larger, with its standard error.
 
-    ``parameters`` are those that the other model has more; each costs the logarithm of the rows.
+    Each of the ``parameters`` that it has more costs the logarithm of the rows.
     """
     worse = theirs - mine + parameters * np.log(len(found.paths.span.residual)) / len(mine)
     error = float(np.std(worse, ddof=1)) / np.sqrt(len(worse))

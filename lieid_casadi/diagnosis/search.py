@@ -155,11 +155,10 @@ def _judged(
 ) -> tuple[Folds, tuple[Slot, ...]]:
     """Return the held-out parts, and the effects of the path on all rows as these judge it.
 
-    Of the two paths ``chosen`` on all rows, smooth functions come first in the second one.
-    Smooth functions come first on the joints where both are alike, where the error of the held-out
-    parts is lower so, or where only so anything lowers it: many effects of the library together
-    resemble a torque that none of them describes. Where fewer effects are supported so, any lower
-    error is enough; a smooth function that the library needs as well counts as one.
+    Of the two paths ``chosen``, smooth functions come first in the second one. They do on the
+    joints where both are alike, where the error of held-out parts is lower so, or where only so
+    anything lowers it: many effects of the library together resemble a torque that none describes.
+    Where fewer effects are supported so, any lower error is enough.
     """
     whole, other = chosen
     folds = folds_of(rows, residual_beside(paths, whole, rows, spread), options.folds)
@@ -242,10 +241,9 @@ def in_span(span: Span, changes: Sequence[Array], weights: Sequence[Array]) -> A
 
 
 def _with_changes(rows: Rows, wanted: Callable[[Candidate], bool], *, in_course: bool) -> Rows:
-    """Return the rows with copies of candidates, and of the model's effects, in parts of the time.
+    """Return the rows with copies of effects in one recording only, or in its course (`COURSES`).
 
-    They act in one recording only, or from an instant on and as waves (`COURSES`, ``in_course``),
-    and show what is no effect of the arm.
+    They show what is no effect of the arm.
     """
     every = (Candidate(p, np.zeros((1, 0))) for p in rows.fit.model.placements)
     fixed = [c for c in every if not (c.by_estimate or c.effect.shapes)]
@@ -300,11 +298,10 @@ def _leaving(columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions)
 
 
 def _dependence(columns: Columns, noise: Sequence[Noise], *, independent: bool) -> Array:
-    """Return how much more each group gains from correlated noise (G,).
+    """Return how much more each group gains from correlated noise than from white noise (G,).
 
-    That is the variance of a column's product with the noise, relative to white noise of the same
-    size, at least 1. A column of slow changes gains more from slow noise than one of fast changes.
-    Less is left if rows are weighted by the noise of ``independent`` samples.
+    A column of slow changes gains more from slow noise than one of fast changes. Less is left if
+    rows are weighted by the noise of ``independent`` samples.
     """
     power, coloured = np.zeros((2, columns.count))
     for own, each in zip(columns.joints, noise, strict=True):

@@ -9,16 +9,19 @@ products of elementary functions of its signals.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from math import comb
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from scipy.special import chdtri
+from scipy.stats import iqr
 
 from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.comparison.noise_floor import slow_functions
 from lieid_casadi.diagnosis.candidates import Candidate
+from lieid_casadi.diagnosis.columns import SegmentSignals
 from lieid_casadi.diagnosis.findings import number
 from lieid_casadi.diagnosis.path import Span
 from lieid_casadi.diagnosis.rows import Rows
@@ -32,6 +35,7 @@ from lieid_casadi.model import Model
 PER_JOINT = 2
 DEGREE, FINE_DEGREE = 6, 10  # of the polynomials of a signal; of angle and load
 RIDGE = 1e-6  # of a column's square
+MOST_ROUNDING = 0.5  # error of a signal by rounded positions, in half of its middle half
 FIELDS = {name: field for name, (field, _, _) in SIGNALS.items()}
 CONTAINED = "a smooth function of its signals was found before it"
 OTHERS = ("q", "dq", "load")  # signals of other joints that are tried; alone, their torque, too
@@ -56,9 +60,11 @@ def smooth_candidates(
     weights = rows.weights(spread)
     every = np.column_stack([np.concatenate(residual) for residual in residuals])
     outside = span.outside(every * np.concatenate(weights)[:, None])
+    rounding = _mostly_rounding(rows)
     for joint in sorted({c.joint for c in rows.columns.owners}):
         own_rows, weight = span.joint(joint), weights[joint][:, None]
-        polynomials = _polynomials(rows, joint)
+        known = _polynomials(rows, joint).items()
+        polynomials = {a: x for a, x in known if named_column(a, joint) not in rounding}
         for count in (1, 2):
             signals = _choices(polynomials, count)
             scores = np.zeros((len(signals), len(residuals)))
@@ -74,6 +80,24 @@ def smooth_candidates(
                     wanted = [_candidate(rows, signals[k], joint, whole=whole) for k in best]
                     found |= {candidate.label: candidate for candidate in wanted}
     return list(found.values())
+
+
+def _mostly_rounding(rows: Rows) -> set[str]:
+    """Return the signals, as columns are named, that rounding of positions decides in most rows.
+
+    Inertia multiplies its accelerations. At constant velocity, where these are little else, a
+    function of them cancels that torque, and keeps the torque of high accelerations.
+    """
+    parts = [replace(s, ddq=s.ddq + s.rounding_of_ddq) for s in rows.segments]
+    coarse, found = [SegmentSignals.of(rows.fit, s) for s in parts], set[str]()
+    for name in ("ddq", "load"):
+        values, rounded = (
+            np.concatenate([s.segment.filter(s.values[name]) for s in signals])
+            for signals in (rows.signals, coarse)
+        )
+        most = 2.0 * np.std(rounded - values, axis=0) > MOST_ROUNDING * iqr(values, axis=0)
+        found |= {named_column(name, int(j)) for j in np.flatnonzero(most)}
+    return found
 
 
 def cost_of(parameters: float | Array, independent: float | Array, *, whole: bool | Mask) -> Array:
@@ -152,12 +176,10 @@ def _of_other(signal: str) -> bool:
 
 
 def _products(names: Sequence[str], polynomials: Mapping[str, Array]) -> Array:
-    """Return the polynomials of one signal, or the first ones of two and their products.
-
-    As in the effect itself, a velocity beside another signal is friction that the other modulates.
-    """
+    """Return the polynomials of one signal, or the first ones of two and their products."""
     if len(names) == 1:
         return polynomials[names[0]]
+    # as in the effect itself, a velocity is friction that the other signal modulates
     letters = [name.rstrip("0123456789") for name in names]
     most = {"dq": 2, "q": 6 if "dq" in letters else 3}
     few = [polynomials[name][:, : most.get(a, 3)] for name, a in zip(names, letters, strict=True)]
@@ -167,10 +189,7 @@ def _products(names: Sequence[str], polynomials: Mapping[str, Array]) -> Array:
 
 
 def _signals(rows: Rows, joint: int, *, torque: bool) -> list[tuple[str, int]]:
-    """Return the signals of which a torque on a joint may be a function, and their joints.
-
-    With ``torque`` those of other joints are among them, which are no signals of two.
-    """
+    """Return the signals of which a torque may be a function; the ``torque`` of others is alone."""
     warmth = all(s.segment.temperature is not None for s in rows.signals)
     own = [(name, joint) for name in FIELDS if name != "temp" or warmth]
     others = [j for j in range(len(rows.runs)) if j != joint]

@@ -106,10 +106,7 @@ class Accepted:
 
 
 def _doubt(candidate: Candidate, slot: Slot, options: DiagnosisOptions, *, sudden: bool) -> Doubt:
-    """Return why the name of an effect is not certain, or an empty text.
-
-    ``sudden`` states whether a change at one instant would do as well.
-    """
+    """Return why a name is not certain, or nothing; ``sudden``: a change at once would do, too."""
     # without a part of the data something else was in its place, or nothing
     if slot.evidence.selected < 1.0:
         return "selected"

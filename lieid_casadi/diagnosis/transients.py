@@ -342,10 +342,7 @@ def _rests(still: Mask, segment: Processed) -> list[slice]:
 
 
 def _late_torque(segment: Processed, torque: Array) -> Array:
-    """Return filtered columns (M, n, k) of the model's torque (K, n), recorded late or filtered.
-
-    A late change of dry friction at every reversal is a short error, but no contact.
-    """
+    """Return filtered columns (M, n, k) of the model's torque, late or filtered: no contact."""
     count = max(round(2.0 * segment.cutoff * LATEST), 1)
     delays = LATEST * np.arange(1, count + 1) / count
     changes = [segment.filter(delayed_change(segment.t, torque, d)) for d in delays]
@@ -353,10 +350,7 @@ def _late_torque(segment: Processed, torque: Array) -> Array:
 
 
 def _without_columns(error: Array, columns: Array, moving: Mask) -> Array:
-    """Return an error (M,) without what columns (M, k) explain, resistant to outliers.
-
-    Where a joint is held, its error is taken relative to its median there.
-    """
+    """Return an error (M,), relative to its median at rest, without what columns (M, k) explain."""
     found = error.copy()
     if not moving.all():
         found[~moving] -= np.median(error[~moving])
@@ -409,10 +403,7 @@ def _near(signals: Array, width: float, excess: Array, stretch: slice) -> Mask:
 def _visits(
     own: ResidualSignals, stretch: slice, joint: int, near: Mask, signed: Array
 ) -> tuple[int, int]:
-    """Count the other passes through rows that are near, and those with a similar error.
-
-    A similar error has the sign of that at the peak in ``signed`` (M,).
-    """
+    """Count the other passes through near rows, and those with an error of the peak's sign."""
     size, time = own.excess[:, joint], own.time
     at = stretch.start + int(np.argmax(size[stretch]))
     similar = (np.sign(signed) == np.sign(signed[at])) & (size > SIMILAR * size[at])

@@ -119,10 +119,7 @@ def _slide(z: ca.SX, moved: ca.SX, width: ca.SX) -> ca.SX:
 
 
 def _until_reversal(before: Signals, now: Signals) -> ca.SX:
-    """Return the motion up to a reversal within the step; 0 without one.
-
-    The velocity is assumed to pass through zero linearly.
-    """
+    """Return the motion up to a reversal within the step, by a linear velocity; 0 without one."""
     turns = before.dq * now.dq < 0
     total = ca.if_else(turns, ca.fabs(before.dq) + ca.fabs(now.dq), 1)
     return turns * before.dq * ca.fabs(before.dq) / total * (now.time - before.time) / 2

@@ -218,10 +218,7 @@ class MotionDesign:
     def _sweep(
         self, joints: set[int], recordings: Sequence[Recording]
     ) -> tuple[MotionSamples, str, Fit] | None:
-        """Return runs of a single joint, from rest, at parts of its speed limit.
-
-        The fit is that of the limits: shapes cannot be extrapolated.
-        """
+        """Return runs of a joint at parts of its speed limit, beyond which shapes are not known."""
         if len(joints) != 1:
             return None
         (joint,) = joints

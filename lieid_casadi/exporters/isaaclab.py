@@ -119,10 +119,7 @@ def _listed(notes: Sequence[str]) -> str:
 
 
 def _mjlab_actuators(fit: Fit, passive: Sequence[PassiveTorques]) -> tuple[list[str], list[str]]:
-    """Return the names of mjlab's classes that are used, and an actuator a line for each joint.
-
-    Joints with a drive law are position actuators, others motors.
-    """
+    """Return the mjlab classes that are used, and a line for each joint, by its drive law."""
     kinds, lines = set[str](), []
     for j, (joint, own) in enumerate(zip(fit.model.robot.joints, passive, strict=True)):
         law = actuator_law(fit, j)

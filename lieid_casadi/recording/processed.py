@@ -148,6 +148,19 @@ class Processed:
         """Smallest step (n,) between recorded positions: a count of an encoder, or rounding."""
         return spectrum.resolution(self.recording.q)
 
+    @cached_property
+    def rounding_of_ddq(self) -> Array:
+        """Error of ddq (K, n) if what it is computed from is rounded again, half a step off."""
+        slow = CubicSpline(self.t, filtering.lowpass(self.q, self.rate, self.cutoff))
+        fresh, _ = without_repeats(self.recording)
+        q, dq = (np.round(slow(fresh.t, order), 12) for order in (0, 1))  # rests are constant
+        exact = replace(fresh, q=q, dq=None if fresh.dq is None else dq)
+        coarse = replace(exact, q=spectrum.rounded_as(fresh.q, q))
+        if fresh.dq is not None:
+            coarse = replace(coarse, dq=spectrum.rounded_as(fresh.dq, dq))
+        (a,), (b,) = (process(recording, self.options) for recording in (exact, coarse))
+        return b.ddq - a.ddq
+
     def __len__(self) -> int:
         return int(self.t.size)
 
@@ -319,16 +332,13 @@ def _protected(segment: Processed) -> Iterator[LieidWarning]:
 def _motion_at(
     part: Recording, times: Array, cutoff: float
 ) -> tuple[Array, Array, Array, Mask, Array]:
-    """Return q, dq, ddq, moving (K, n) and the dead zone (n,) of a segment, as in `Processed`.
-
-    At uniform times (K,), s, for a cut-off of the columns, Hz.
-    """
+    """Return q, dq, ddq, moving (K, n) and dead zones (n,) at uniform times, as in `Processed`."""
     rate = (times.size - 1) / float(times[-1] - times[0])
     band = max(MOTION_BAND * cutoff, LEAST_BAND)
     q = filtering.smooth_at(part.t, part.q, times)
     derivative = filtering.central_difference(q, rate)
     dead_zone = _derivative_dead_zone(q, derivative, rate, band)
-    velocity, for_acceleration = derivative, None
+    velocity = for_acceleration = derivative
     if part.dq is not None:
         measured = filtering.smooth_at(part.t, part.dq, times)
 
@@ -341,21 +351,18 @@ def _motion_at(
         derived = is_better(MUCH_LESS_NOISE, RATE_OVER_BAND * band)
         velocity = np.where(derived, derivative, measured)
         better = is_better(LESS_NOISE, RATE_OVER_CUTOFF * cutoff)
-        if not np.array_equal(derived, better):
-            for_acceleration = np.where(better, derivative, measured)
+        for_acceleration = np.where(better, derivative, measured)
         own = spectrum.noise_dead_zone(measured, kept=band / (0.5 * rate))
         dead_zone = np.where(derived, dead_zone, own)
+    elif part.command is not None:
+        # commands are recorded at low rates, and their torque is as exact as the positions
+        for_acceleration = filtering.sixth_order_difference(q, rate)
     dq = filtering.lowpass(velocity, rate, band)
-    if part.ddq is not None:
-        ddq = filtering.lowpass(filtering.smooth_at(part.t, part.ddq, times), rate, band)
-    elif for_acceleration is None:
-        ddq = filtering.central_difference(dq, rate)
-        if part.command is not None and part.dq is None:
-            # commands are recorded at low rates, and their torque is as exact as the positions
-            exact = filtering.lowpass(filtering.sixth_order_difference(q, rate), rate, band)
-            ddq = filtering.sixth_order_difference(exact, rate)
+    if part.ddq is None:
+        slow = filtering.lowpass(for_acceleration, rate, band)
+        ddq = filtering.sixth_order_difference(slow, rate)
     else:
-        ddq = filtering.central_difference(filtering.lowpass(for_acceleration, rate, band), rate)
+        ddq = filtering.lowpass(filtering.smooth_at(part.t, part.ddq, times), rate, band)
     moving = _moving(dq, dead_zone, rate)
     q = filtering.lowpass(q, rate, band)
     return q, np.where(moving, dq, 0.0), ddq, moving, dead_zone

@@ -34,6 +34,8 @@ ENOUGH_MOTION = 0.05
 #: Part of the top speed that is in the dead zone even without noise. On test recordings a
 #: tenth of it is worse for a TX40, three times as much is worse for a UR10e.
 TOP_SPEED_PART = 3e-3
+#: Part of a range within which values are the same but for the computer's rounding.
+EQUAL = 1e-9
 
 
 def choose_cutoff(recording: Recording) -> float:
@@ -191,4 +193,11 @@ def noise_spread(x: Array) -> Array:
 def resolution(values: Array) -> Array:
     """Return the smallest step (n,) between distinct values: the quantum, or rounding."""
     steps = [np.diff(np.unique(column)) for column in values.T]
-    return np.array([float(step.min()) if step.size else 0.0 for step in steps])
+    least = [step[step > EQUAL * step.sum()].min(initial=np.inf) for step in steps]
+    return np.where(np.isfinite(least), least, 0.0)
+
+
+def rounded_as(recorded: Array, values: Array) -> Array:
+    """Return values (N, n) rounded with the `resolution` of what was recorded, half a step off."""
+    step = np.maximum(resolution(recorded), 1e-15)
+    return np.asarray((np.floor(values / step) + 0.5) * step)

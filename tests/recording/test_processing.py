@@ -22,7 +22,7 @@ from lieid_casadi.recording import (
     process,
 )
 from lieid_casadi.recording.filtering import lowpass
-from lieid_casadi.recording.spectrum import motion_band
+from lieid_casadi.recording.spectrum import motion_band, resolution
 
 
 def one(recording, **options):
@@ -200,6 +200,38 @@ def test_acceleration_under_commands_is_not_too_small_at_a_low_rate():
     (p,) = process(Recording.from_arrays(t, q, tau=q, command=q), Processing(cutoff=5.0))
     inner = slice(50, -50)
     np.testing.assert_allclose(p.ddq[inner], -(w**2) * p.q[inner], atol=1e-3 * w**2)
+
+
+def test_acceleration_of_measured_velocities_is_not_too_small_at_a_low_rate():
+    """Differences over two samples take 6 % from the acceleration of 10 Hz at 100 Hz."""
+    t = np.arange(0.0, 20.0, 0.01)
+    w = 2.0 * np.pi * 10.0
+    q, dq = 0.01 * np.sin(w * t)[:, None], 0.01 * w * np.cos(w * t)[:, None]
+    (p,) = process(Recording.from_arrays(t, q, dq, tau=q), Processing(cutoff=12.0))
+    inner = slice(50, -50)
+    np.testing.assert_allclose(p.ddq[inner], -(w**2) * q[inner], atol=1e-4 * w**2)
+
+
+@pytest.mark.parametrize("rate", [100, 500])
+@pytest.mark.parametrize("difference", [False, True])
+def test_errors_of_accelerations_by_rounded_positions_have_the_size_of_the_true_ones(
+    rate, difference
+):
+    t = np.arange(0.0, 30.0, 1.0 / rate)
+    q = np.round(motion(t)[0] / 4e-4) * 4e-4
+    dq = np.gradient(q, 1.0 / rate, axis=0) if difference else None
+    (p,) = process(Recording.from_arrays(t, q, dq, tau=q), Processing(cutoff=8.0))
+    errors = p.ddq - motion(p.t)[2], p.rounding_of_ddq
+    true, found = (np.std(p.filter(error)[10:-10], axis=0) for error in errors)
+    np.testing.assert_allclose(found, true, rtol=0.5)
+
+
+def test_the_computer_s_rounding_is_no_resolution():
+    counts = np.random.default_rng(0).integers(0, 400, size=(2000, 2))
+    noise = 1e-16 * np.random.default_rng(1).normal(size=counts.shape)
+    found = resolution(np.deg2rad(counts * 0.1) + noise)
+    np.testing.assert_allclose(found, np.deg2rad(0.1), rtol=1e-9)
+    np.testing.assert_array_equal(resolution(np.ones((5, 2))), 0.0)
 
 
 def sines(frequency, rate=200.0, duration=20.0, noise=0.0):

@@ -109,10 +109,7 @@ class RefinementProblem:
 
 
 def _inverse(gram: Array, scale: Array) -> Array:
-    """Return the inverse of inner products of columns with given norms.
-
-    Directions that are dependent stay at zero.
-    """
+    """Return the inverse of inner products of columns with given norms, 0 if dependent."""
     sizes, axes = np.linalg.eigh(gram / scale / scale[:, None])
     used = sizes > VANISHING
     return np.asarray((axes[:, used] / sizes[used]) @ axes[:, used].T / scale / scale[:, None])

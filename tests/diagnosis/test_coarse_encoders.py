@@ -1,0 +1,37 @@
+"""Errors of accelerations by coarse encoders and low rates are no effects of the arm."""
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_simpson
+from scipy.ndimage import gaussian_filter1d
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+
+ROBOT = lieid.robots.two_link()
+MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset,armature")
+ARM = plant.demo_arm(ROBOT, hidden=None)
+
+
+def swept(seed, **sensors):
+    """Measure the arm at constant velocities, slow and fast, with short reversals."""
+    random, t = np.random.default_rng(seed), np.arange(0.0, 16.0, 0.002)
+    speed = np.zeros((len(t), 2))
+    for own in speed.T:
+        first, sign = 0, 1.0
+        while first < len(t):
+            rate = np.exp(random.uniform(np.log(0.1), np.log(1.2)))
+            last = first + round(random.uniform(0.3, 1.0) / rate * 500)
+            own[first:last], first, sign = sign * rate, last, -sign
+    dq = gaussian_filter1d(speed, 20, axis=0)
+    q = cumulative_simpson(dq, dx=0.002, axis=0, initial=0.0)
+    ddq = np.gradient(dq, 0.002, axis=0)
+    measured = plant.Sensors(rate=100.0, velocity="difference", torque_noise=0.02, **sensors)
+    return plant.measure_along(ARM, t, q, dq, ddq, sensors=measured, seed=seed)
+
+
+@pytest.mark.parametrize("counts", [0.0, 2.0**14])
+@pytest.mark.parametrize("seed", [1, 2, 3, 6])
+def test_nothing_is_found_at_a_low_rate(seed, counts):
+    """Too small accelerations resemble elastic joints; rounded ones a function of themselves."""
+    assert not lieid.diagnose(MODEL, swept(seed, counts_per_turn=counts)).steps
