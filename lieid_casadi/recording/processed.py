@@ -42,6 +42,9 @@ LESS_NOISE = 1.2
 #: Rates at which noise is compared, in cut-offs and in bands of the motion: it is then that of
 #: the upper half below Nyquist, where motion leaves little.
 RATE_OVER_CUTOFF, RATE_OVER_BAND = 4.0, 2.5
+#: Samples in a period of the cut-off, or of commands, whose torque is as exact as the positions,
+#: below which accelerations are differences of sixth order: over two samples they are 18 % small.
+FEWEST_SAMPLES = 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -338,7 +341,9 @@ def _motion_at(
     q = filtering.smooth_at(part.t, part.q, times)
     derivative = filtering.central_difference(q, rate)
     dead_zone = _derivative_dead_zone(q, derivative, rate, band)
-    velocity = for_acceleration = derivative
+    low = rate < FEWEST_SAMPLES * cutoff or (part.command is not None and part.dq is None)
+    difference = filtering.sixth_order_difference if low else filtering.central_difference
+    velocity, for_acceleration = derivative, difference(q, rate)
     if part.dq is not None:
         measured = filtering.smooth_at(part.t, part.dq, times)
 
@@ -354,13 +359,9 @@ def _motion_at(
         for_acceleration = np.where(better, derivative, measured)
         own = spectrum.noise_dead_zone(measured, kept=band / (0.5 * rate))
         dead_zone = np.where(derived, dead_zone, own)
-    elif part.command is not None:
-        # commands are recorded at low rates, and their torque is as exact as the positions
-        for_acceleration = filtering.sixth_order_difference(q, rate)
     dq = filtering.lowpass(velocity, rate, band)
     if part.ddq is None:
-        slow = filtering.lowpass(for_acceleration, rate, band)
-        ddq = filtering.sixth_order_difference(slow, rate)
+        ddq = difference(filtering.lowpass(for_acceleration, rate, band), rate)
     else:
         ddq = filtering.lowpass(filtering.smooth_at(part.t, part.ddq, times), rate, band)
     moving = _moving(dq, dead_zone, rate)

@@ -207,7 +207,7 @@ def test_acceleration_of_measured_velocities_is_not_too_small_at_a_low_rate():
     t = np.arange(0.0, 20.0, 0.01)
     w = 2.0 * np.pi * 10.0
     q, dq = 0.01 * np.sin(w * t)[:, None], 0.01 * w * np.cos(w * t)[:, None]
-    (p,) = process(Recording.from_arrays(t, q, dq, tau=q), Processing(cutoff=12.0))
+    (p,) = process(Recording.from_arrays(t, q, dq, tau=q), Processing(cutoff=20.0))
     inner = slice(50, -50)
     np.testing.assert_allclose(p.ddq[inner], -(w**2) * q[inner], atol=1e-4 * w**2)
 
