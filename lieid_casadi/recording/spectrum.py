@@ -193,11 +193,11 @@ def noise_spread(x: Array) -> Array:
 def resolution(values: Array) -> Array:
     """Return the smallest step (n,) between distinct values: the quantum, or rounding."""
     steps = [np.diff(np.unique(column)) for column in values.T]
-    least = [step[step > EQUAL * step.sum()].min(initial=np.inf) for step in steps]
-    return np.where(np.isfinite(least), least, 0.0)
+    return np.array([float(step.min()) if step.size else 0.0 for step in steps])
 
 
 def rounded_as(recorded: Array, values: Array) -> Array:
-    """Return values (N, n) rounded with the `resolution` of what was recorded, half a step off."""
-    step = np.maximum(resolution(recorded), 1e-15)
+    """Return values (N, n) rounded by the quantum of what was recorded, half a step off."""
+    steps = [np.diff(np.unique(column)) for column in recorded.T]
+    step = np.array([own[own > EQUAL * own.sum()].min(initial=1.0) for own in steps])
     return np.asarray((np.floor(values / step) + 0.5) * step)

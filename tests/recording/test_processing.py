@@ -22,7 +22,7 @@ from lieid_casadi.recording import (
     process,
 )
 from lieid_casadi.recording.filtering import lowpass
-from lieid_casadi.recording.spectrum import motion_band, resolution
+from lieid_casadi.recording.spectrum import motion_band, rounded_as
 
 
 def one(recording, **options):
@@ -226,12 +226,12 @@ def test_errors_of_accelerations_by_rounded_positions_have_the_size_of_the_true_
     np.testing.assert_allclose(found, true, rtol=0.5)
 
 
-def test_the_computer_s_rounding_is_no_resolution():
+def test_the_computer_s_rounding_is_no_quantum():
     counts = np.random.default_rng(0).integers(0, 400, size=(2000, 2))
     noise = 1e-16 * np.random.default_rng(1).normal(size=counts.shape)
-    found = resolution(np.deg2rad(counts * 0.1) + noise)
-    np.testing.assert_allclose(found, np.deg2rad(0.1), rtol=1e-9)
-    np.testing.assert_array_equal(resolution(np.ones((5, 2))), 0.0)
+    values = np.linspace(0.0, 0.5, 5000)[:, None] * [1.0, 1.0]
+    steps = np.diff(rounded_as(np.deg2rad(counts * 0.1) + noise, values), axis=0)
+    np.testing.assert_allclose(steps[steps > 0.0], np.deg2rad(0.1), rtol=1e-9)
 
 
 def sines(frequency, rate=200.0, duration=20.0, noise=0.0):
