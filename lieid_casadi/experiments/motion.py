@@ -243,10 +243,7 @@ class MotionDesign:
         most: int,
         progress: Progress,
     ) -> tuple[MotionSamples, str]:
-        """Return the motion that separates the rivals of all groups, or of as many as it can.
-
-        One long period and several short ones are compared by the time that they need.
-        """
+        """Return the motion that separates most rivals, with long or short periods."""
         sizes = {
             label: values
             for group in groups

@@ -156,13 +156,14 @@ class Processed:
         """Error of ddq (K, n) if what it is computed from is rounded again, half a step off."""
         slow = CubicSpline(self.t, filtering.lowpass(self.q, self.rate, self.cutoff))
         fresh, _ = without_repeats(self.recording)
+        times = filtering.uniform_time(fresh.t, sample_rate(fresh.t))
         q, dq = (np.round(slow(fresh.t, order), 12) for order in (0, 1))  # rests are constant
         exact = replace(fresh, q=q, dq=None if fresh.dq is None else dq)
         coarse = replace(exact, q=spectrum.rounded_as(fresh.q, q))
         if fresh.dq is not None:
             coarse = replace(coarse, dq=spectrum.rounded_as(fresh.dq, dq))
-        (a,), (b,) = (process(recording, self.options) for recording in (exact, coarse))
-        return b.ddq - a.ddq
+        a, b = (_motion_at(x, times, self.cutoff)[2] for x in (exact, coarse))
+        return (b - a)[:: -(-len(times) // len(self.t))]
 
     def __len__(self) -> int:
         return int(self.t.size)
