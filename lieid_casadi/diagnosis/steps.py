@@ -106,7 +106,7 @@ class Accepted:
 
 
 def _doubt(candidate: Candidate, slot: Slot, options: DiagnosisOptions, *, sudden: bool) -> Doubt:
-    """Return why a name is not certain, or nothing; ``sudden``: a change at once would do, too."""
+    """Return why a name is not certain, if so; ``sudden``: a change at one instant would do."""
     # without a part of the data something else was in its place, or nothing
     if slot.evidence.selected < 1.0:
         return "selected"

@@ -342,7 +342,8 @@ def _rests(still: Mask, segment: Processed) -> list[slice]:
 
 
 def _late_torque(segment: Processed, torque: Array) -> Array:
-    """Return filtered columns (M, n, k) of the model's torque, late or filtered: no contact."""
+    """Return filtered columns (M, n, k) of the model's torque (K, n), recorded late or filtered."""
+    # a late change of dry friction at every reversal is a short error, but no contact
     count = max(round(2.0 * segment.cutoff * LATEST), 1)
     delays = LATEST * np.arange(1, count + 1) / count
     changes = [segment.filter(delayed_change(segment.t, torque, d)) for d in delays]

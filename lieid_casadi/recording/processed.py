@@ -43,7 +43,7 @@ LESS_NOISE = 1.2
 #: the upper half below Nyquist, where motion leaves little.
 RATE_OVER_CUTOFF, RATE_OVER_BAND = 4.0, 2.5
 #: Samples in a period of the cut-off, or of commands, whose torque is as exact as the positions,
-#: below which accelerations are differences of sixth order: over two samples they are 18 % small.
+#: below which accelerations are differences of sixth order: over two samples they are 17 % small.
 FEWEST_SAMPLES = 6.0
 
 

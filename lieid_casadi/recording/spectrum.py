@@ -190,14 +190,14 @@ def noise_spread(x: Array) -> Array:
     return np.asarray(spread / np.sqrt(70.0))
 
 
-def resolution(values: Array) -> Array:
-    """Return the smallest step (n,) between distinct values: the quantum, or rounding."""
+def resolution(values: Array, *, equal: float = 0.0) -> Array:
+    """Return the smallest step (n,) between values that differ by more than ``equal`` ranges."""
     steps = [np.diff(np.unique(column)) for column in values.T]
-    return np.array([float(step.min()) if step.size else 0.0 for step in steps])
+    least = [own[own > equal * own.sum()].min(initial=np.inf) for own in steps]
+    return np.where(np.isfinite(least), least, 0.0)
 
 
 def rounded_as(recorded: Array, values: Array) -> Array:
     """Return values (N, n) rounded by the quantum of what was recorded, half a step off."""
-    steps = [np.diff(np.unique(column)) for column in recorded.T]
-    step = np.array([own[own > EQUAL * own.sum()].min(initial=1.0) for own in steps])
+    step = np.maximum(resolution(recorded, equal=EQUAL), 1e-15)
     return np.asarray((np.floor(values / step) + 0.5) * step)
