@@ -74,7 +74,7 @@ def _statement(steps: Sequence[Step], mode: str) -> str:
             "of the library describes it"
         )
     effect = make(first.effect) if first.effect in REGISTER else None
-    texts = () if effect is None else effect.finding if mode == "missing" else effect.change
+    texts = () if effect is None else (mode != "missing" and effect.change) or effect.finding
     if not texts:
         subject = "The model lacks" if mode == "missing" else "Changed:"
         return f"{subject} {first.effect} on {_joints(steps)}"

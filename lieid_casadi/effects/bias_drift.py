@@ -18,7 +18,6 @@ class BiasDrift(ArmEffect):
 
     name = "bias_drift"
     finding = ("The torque of {joints} drifts upwards", "The torque of {joints} drifts downwards")
-    change = finding
     formula = "r·(t − t̄)"
     coefficients = (Coefficient("r", "N·m/s", meaning="drift rate"),)
     reach = "joint"

@@ -243,8 +243,8 @@ class Effect(ABC):
         Signal that, where it is recorded and varies, describes the cause better: a diagnosis then
         does not try this effect.
     finding, change : tuple of str
-        Sentence of a diagnosis for a missing effect, and for a change of the effect; two of them
-        if it depends on the sign of the first coefficient, positive first. ``{joints}`` and
+        Sentence of a diagnosis for a missing effect, and for a change (empty: the same); two if it
+        depends on the sign of the first coefficient, positive first. ``{joints}`` and
         ``{source}`` are replaced by the joints, ``{increased}`` by "increased" or "decreased".
     size_unit : str
         Unit in which these sentences state the first coefficient, if it is not the

@@ -17,7 +17,6 @@ class ExternalWrench(ArmEffect):
 
     name = "external_wrench"
     finding = ("A constant force acts on the tool",)
-    change = finding
     formula = "+Jᵀ·[m; f]"
     coefficients = (
         *(Coefficient(f"m{x}", "N·m", limit=1e4, meaning=f"moment about {x}") for x in "xyz"),

@@ -16,7 +16,6 @@ class PositionSpring(Effect):
         "A torque on {joints} grows with the joint angle",
         "A torque on {joints} falls with the joint angle, as of a spring",
     )
-    change = finding
     formula = "K·q"
     coefficients = (Coefficient("K", "N·m/rad", limit=2e4, meaning="stiffness"),)
     signals = ("q",)

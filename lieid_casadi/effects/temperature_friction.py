@@ -19,7 +19,6 @@ class TemperatureFriction(Effect):
         "Friction on {joints} grows with temperature",
         "Friction on {joints} falls with temperature",
     )
-    change = finding
     options = {
         "exponential": (
             "viscous friction that falls exponentially with temperature, as lubricants do "

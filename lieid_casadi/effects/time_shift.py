@@ -22,7 +22,6 @@ class TimeShift(ArmEffect):
         "The torques of all joints lag behind the positions",
         "The torques of all joints lead the positions",
     )
-    change = finding
     formula = "τ_measured(t) = τ(t − δ) on every joint"
     coefficients = (Coefficient("delta", "s", limit=0.5, meaning="shift", resolved_by="lead"),)
     whole_arm = True

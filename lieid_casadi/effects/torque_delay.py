@@ -27,7 +27,6 @@ class TorqueDelay(ArmEffect):
         "The measured torque of {joints} lags behind the position",
         "The measured torque of {joints} leads the position",
     )
-    change = finding
     formula = "τ_measured(t) = τ(t − δ)"
     coefficients = (Coefficient("delta", "s", limit=0.1, meaning="delay", resolved_by="lead"),)
     reach = "joint"

@@ -25,7 +25,6 @@ class TorqueLowpass(ArmEffect):
 
     name = "torque_lowpass"
     finding = ("The measured torque of {joints} is low-pass filtered",)
-    change = finding
     formula = "T·d(τ_measured)/dt + τ_measured = τ"
     coefficients = (
         Coefficient("T", "s", lower=0.0, limit=0.2, meaning="time constant, 1/(2π·cut-off)"),

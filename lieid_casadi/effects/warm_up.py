@@ -20,7 +20,6 @@ class WarmUp(Effect):
         "Friction on {joints} increases in the course of a recording",
         "Friction on {joints} decreases in the course of a recording, as in a gear that warms up",
     )
-    change = finding
     formula = "(f_tv·q̇ + f_tc·sgn(q̇))·(1 − e^{−t/θ})"
     coefficients = (
         Coefficient("f_tv", "N·m·s/rad", meaning="change of viscous friction, warm minus cold"),
