@@ -239,12 +239,9 @@ def _part_of_torque(name: str, place: ca.SX, sign: ca.SX) -> list[ca.SX]:
 
 def _splines(place: ca.SX, count: int) -> list[ca.SX]:
     """Return the uniform cubic B-splines on [0, 1], without branches."""
-    step = 1 / (count - 3)
-    found = []
-    for k in range(count):
-        distance = ca.fabs(place / step - (k - 1))
-        found.append((ca.fmax(2 - distance, 0) ** 3 - 4 * ca.fmax(1 - distance, 0) ** 3) / 6)
-    return found
+    distance = ca.fabs(place * (count - 3) - ca.DM(range(-1, count - 1)))
+    splines = (ca.fmax(2 - distance, 0) ** 3 - 4 * ca.fmax(1 - distance, 0) ** 3) / 6
+    return list(ca.vertsplit(splines))
 
 
 @lru_cache(maxsize=32)

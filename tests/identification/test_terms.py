@@ -56,7 +56,7 @@ def test_the_robust_fit_minimizes_hubers_loss():
     matrix = random.normal(size=(300, 3))
     torque = matrix @ [1.0, -2.0, 0.5] + 0.1 * random.normal(size=300)
     torque[::7] += random.uniform(0.2, 3.0, size=len(torque[::7]))
-    found = robust(rows_of(matrix, torque))
+    found = robust(rows_of(matrix, torque), np.ones(1))
     threshold = 1.345 * found.noise[0]
     expected = least_squares(
         lambda beta: matrix @ beta - torque, np.zeros(3), loss="huber", f_scale=threshold,

@@ -32,6 +32,7 @@ from lieid_casadi.identification.regression.variable_projection import (
 from lieid_casadi.model import Model
 
 Progress = Callable[[str, float], None]
+Estimator = Callable[[Rows, Array], Weighting]
 ROUNDS = 30  # largest number of iterations
 MOST_SCANS = 6  # of all shapes over their ranges
 STEEPEST = 0.9  # slope of a step to the next one, in an extrapolation
@@ -69,7 +70,7 @@ def fixed_point(
         # a fit without the effect is biased by it; the nominal bodies are nearer to the arm
         loaded, links = True, nominal_parameters(model) if model.robot.has_inertia else None
     before, steps = None, DelaySteps(model)
-    state = _state(design, ESTIMATORS[method], shapes, links)
+    state = _state(design, ESTIMATORS[method], shapes, links, np.ones(model.n))
     for round_ in range(ROUNDS):
         # shapes of load-dependent effects need a load first
         if search is not None and not (loaded and links is None):
@@ -82,7 +83,7 @@ def fixed_point(
             scan = None if search is None else search.scan
             return replace(state, scan=scan), state.weighting.converged
         before, links = predicted, steps.next(links, state.parameters)
-        state = _state(design, ESTIMATORS[method], state.shapes, links)
+        state = _state(design, ESTIMATORS[method], state.shapes, links, state.weighting.noise)
         report("regress", 0.3 + 0.6 * (round_ + 1) / ROUNDS)
     return state, False
 
@@ -96,9 +97,7 @@ class _Search:
         self._start: Array | None = None
         self._scans = 0
 
-    def improved(
-        self, state: FitState, links: Array | None, estimator: Callable[[Rows], Weighting]
-    ) -> FitState:
+    def improved(self, state: FitState, links: Array | None, estimator: Estimator) -> FitState:
         """Return the state at better shapes."""
         noise, shapes = state.weighting.noise, self._start
         if not self._scans:
@@ -107,7 +106,7 @@ class _Search:
         self._start = None
         start = state.shapes if shapes is None else shapes
         shapes = refine_shapes(self._design, state.rows, start, links, noise)
-        return _state(self._design, estimator, shapes, links)
+        return _state(self._design, estimator, shapes, links, noise)
 
     def confirms(self, state: FitState, links: Array | None) -> bool:
         """Whether no value of any one effect lowers the cost; keeps a better one otherwise."""
@@ -123,11 +122,11 @@ class _Search:
 
 
 def _state(
-    design: Design, estimator: Callable[[Rows], Weighting], shapes: Array, links: Array | None
+    design: Design, estimator: Estimator, shapes: Array, links: Array | None, noise: Array
 ) -> FitState:
-    """Return the linear fit at given shapes and load."""
+    """Return the linear fit at given shapes and load; weights are iterated from a noise (n,)."""
     rows = design.linearized(shapes, links)
-    weighting = estimator(rows)
+    weighting = estimator(rows, noise)
     if estimator is not ols:  # whose rows are not in units of the noise
         weighting = replace(weighting, factor=with_priors(weighting.factor, design))
     solution = solve(weighting.factor)

@@ -244,17 +244,16 @@ class Weighting:
     converged: bool
 
 
-def ols(rows: Rows) -> Weighting:
-    """Ordinary least squares: the same weight for every row."""
+def ols(rows: Rows, noise: Array) -> Weighting:
+    """Ordinary least squares: the same weight for every row, whatever the noise."""
     factor = stacked(rows)
     noise = _noise(rows.factors, solve(factor).values, rows)
     return Weighting(factor, noise, row_weights(rows, np.ones(len(rows.joints))), True)
 
 
-def wls(rows: Rows) -> Weighting:
-    """Weighted least squares: rows divided by their joint's residual noise, iterated."""
-    factors = rows.factors
-    noise, converged = np.ones(len(factors)), False
+def wls(rows: Rows, noise: Array) -> Weighting:
+    """Weighted least squares: rows divided by their joint's residual noise (n,), iterated."""
+    factors, converged = rows.factors, False
     for _ in range(ITERATIONS):
         factor = combine(factors, 1.0 / noise)
         fresh = _noise(factors, solve(factor).values, rows)
@@ -267,9 +266,9 @@ def wls(rows: Rows) -> Weighting:
     )
 
 
-def robust(rows: Rows) -> Weighting:
+def robust(rows: Rows, noise: Array) -> Weighting:
     """Huber's M-estimator by iteratively reweighted least squares; joint noise from the MAD."""
-    start = wls(rows)
+    start = wls(rows, noise)
     values, converged = solve(start.factor).values, False
     weights, noise, factor = list(start.rows), start.noise, start.factor
     least = _least_noise(rows)

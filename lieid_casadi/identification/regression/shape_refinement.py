@@ -23,18 +23,20 @@ from lieid_casadi.identification.regression.variable_projection import (
     shape_slopes,
 )
 
+EVALUATIONS = 3  # in a round of `fixed_point`, whose next round goes on from there
+
 
 def refine_shapes(
     design: Design, rows: Rows, start: Array, links: Array | None, noise: Array
 ) -> Array:
-    """Return the shapes (s,) at a local minimum of the weighted residual.
+    """Return the shapes (s,) two steps nearer to a local minimum of the weighted residual.
 
     ``rows`` are those of the design at any shapes and the load by ``links`` (10 n,), None means no
     load; they are weighted by the inverse of the ``noise`` (n,). Shapes that are not fitted stay as
     they are.
     """
     problem = RefinementProblem(design, rows, start, links, noise)
-    return problem.every(minimize_shapes(problem, start[problem.free]))
+    return problem.every(minimize_shapes(problem, start[problem.free], max_evaluations=EVALUATIONS))
 
 
 @dataclass(frozen=True, eq=False)
