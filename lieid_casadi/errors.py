@@ -214,6 +214,10 @@ class RepeatedRowsWarning(LieidWarning):
     """Rows that repeat the previous one while the arm moves: the source is slower."""
 
 
+class LateVelocityWarning(LieidWarning):
+    """Recorded velocities that are later than the positions, and were derived from these."""
+
+
 class AssumedCalibrationWarning(LieidWarning):
     """Units or zero positions of a recording that were assumed, because it does not state them."""
 

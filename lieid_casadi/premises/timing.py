@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
-from scipy.signal import lfilter
 
-from lieid_casadi.arrays import Array, Indices, Mask
-from lieid_casadi.premises.correction import Correction, shifted
+from lieid_casadi.arrays import Array, Mask
+from lieid_casadi.premises.correction import Correction
 from lieid_casadi.premises.findings import Finding
 from lieid_casadi.premises.plain_fit import Samples
 from lieid_casadi.premises.screen import Alternative, Screen, best_on
@@ -24,8 +22,6 @@ DELAYS = np.array([-0.2, -0.1, -0.05, -0.025, 0.0, 0.025, 0.05, 0.1, 0.2])
 LEAST_DELAY = 0.008
 #: A delay up to this is what the effect `torque_delay` describes, s: a doubt at most.
 SMALL_DELAY = 0.02
-#: Logarithms of the time constants of a velocity filter that are tried, s.
-LOGS = np.log(np.geomspace(0.01, 1.0, 25))
 #: Relative error of a recorded velocity from which it is not the derivative of the position, and
 #: ratio to which a filter must lower it to be named.
 NOT_DERIVATIVE, BY_FILTER = 0.15, 0.5
@@ -149,10 +145,11 @@ def velocity(s: Samples) -> Alternative | None:
     if np.all(ratio[joints] < ZERO_VELOCITY):
         what = "is zero although the joints move"
     else:
-        kind, constant, left = _lag(s, joints)
-        if left < BY_FILTER * float(np.sqrt(np.mean(error[joints] ** 2))):
-            seconds = constant
-            what = f"is {kind} by {constant:.3g} s"
+        missing = (s.dq - s.measured)[:, joints] / size[joints]
+        rates = with_measured_velocity(s).ddq[:, joints] / size[joints]
+        late = float(np.sum(missing * rates) / max(float(np.sum(rates**2)), 1e-300))
+        if np.sum((missing - late * rates) ** 2) < BY_FILTER**2 * np.sum(missing**2):
+            seconds, what = late, f"is low-pass filtered or delayed by {late:.3g} s"
     if slow and seconds < LONG_LAG:
         return None
     names = ", ".join(str(j + 1) for j in joints[:3])
@@ -162,37 +159,3 @@ def velocity(s: Samples) -> Alternative | None:
         "(velocities from the positions)",
         Correction.none(s.n), remedy="--derive-velocity",
     )  # fmt: skip
-
-
-def _lag(s: Samples, joints: Indices) -> tuple[str, float, float]:
-    """Return ``filtered`` or ``delayed``, its time and the relative error that it leaves."""
-    best = []
-    for kind, first_order in (("low-pass filtered", True), ("delayed", False)):
-        error = np.vectorize(partial(_error_of_lag, s, joints, first_order))
-        x = best_on(error, LOGS, rounds=3)
-        best.append((float(error(x)), kind, float(np.exp(x))))
-    left, kind, seconds = min(best)
-    return kind, seconds, left
-
-
-def _error_of_lag(s: Samples, joints: Indices, first_order: bool, log_seconds: float) -> float:
-    """Return the relative error of the recorded velocity as the true one, lagged by a time."""
-    seconds = float(np.exp(log_seconds))
-    rest, size = 0.0, 0.0
-    for stretch in np.unique(s.segment):
-        at = np.flatnonzero(s.segment == stretch)
-        if len(at) < 8:
-            continue
-        true, found = s.dq[at][:, joints], s.measured[at][:, joints]
-        if first_order:
-            step = float(np.median(np.diff(s.t[at])))
-            keep = float(np.exp(-step / seconds))
-            new = 1.0 - seconds / step * (1.0 - keep)  # exact for a velocity linear in between
-            numerator = np.array([new, 1.0 - keep - new])
-            start = found[:1] - new * true[:1]
-            lagged = lfilter(numerator, [1.0, -keep], true, axis=0, zi=start)[0]
-        else:
-            lagged = shifted(s.t[at], true, -seconds)
-        rest += float(np.sum((found - lagged) ** 2))
-        size += float(np.sum(true**2))
-    return float(np.sqrt(rest / max(size, 1e-300)))

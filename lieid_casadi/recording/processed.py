@@ -14,14 +14,16 @@ from scipy.ndimage import binary_opening, maximum_filter1d
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.errors import (
     DriveProtectionWarning,
+    LateVelocityWarning,
     LieidWarning,
     RecordingError,
     ShortSegmentWarning,
 )
+from lieid_casadi.messages import joints_text
 from lieid_casadi.recording import filtering, spectrum
 from lieid_casadi.recording.measurement import read_only
 from lieid_casadi.recording.recording import Recording
-from lieid_casadi.recording.repairs import without_repeats
+from lieid_casadi.recording.repairs import late_velocities, without_repeats
 from lieid_casadi.recording.sample_timing import require_plausible_rate, sample_rate
 
 #: Largest weight of samples at rest in a filtered sample that counts as moving.
@@ -74,7 +76,7 @@ class Processed:
     """One segment on a uniform grid of K instants.
 
     q, dq and ddq are low-passed well above the cut-off, zero-phase; dq and ddq are derived from q
-    where that has clearly less noise than the measured dq.
+    where that has clearly less noise than the measured dq, or that is late.
     """
 
     t: Array  # (K,) s, on the recording's own clock
@@ -158,11 +160,12 @@ class Processed:
         fresh, _ = without_repeats(self.recording)
         times = filtering.uniform_time(fresh.t, sample_rate(fresh.t))
         q, dq = (np.round(slow(fresh.t, order), 12) for order in (0, 1))  # rests are constant
+        late = late_velocities(fresh, self.cutoff) != 0.0
         exact = replace(fresh, q=q, dq=None if fresh.dq is None else dq)
         coarse = replace(exact, q=spectrum.rounded_as(fresh.q, q))
         if fresh.dq is not None:
             coarse = replace(coarse, dq=spectrum.rounded_as(fresh.dq, dq))
-        a, b = (_motion_at(x, times, self.cutoff)[2] for x in (exact, coarse))
+        a, b = (_motion_at(x, times, self.cutoff, late)[2] for x in (exact, coarse))
         return (b - a)[:: -(-len(times) // len(self.t))]
 
     def __len__(self) -> int:
@@ -290,7 +293,8 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
     times = filtering.uniform_time(t, rate)
     rate = (times.size - 1) / float(t[-1] - t[0])
     step = max(1, int(rate / max(GRID_OVER_CUTOFF * cutoff, LEAST_GRID)))
-    q, dq, ddq, moving, dead_zone = _motion_at(fresh, times, cutoff)
+    late = late_velocities(fresh, cutoff)
+    q, dq, ddq, moving, dead_zone = _motion_at(fresh, times, cutoff, late != 0.0)
     tau = None if fresh.tau is None else filtering.straight_at(t, fresh.tau, times)
 
     def straight(values: Array | None) -> Array | None:
@@ -315,6 +319,11 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
         options=options,
         warnings=() if repeated is None else (repeated,),
     )
+    if (long := late * sample_rate(t) > 1.0).any():
+        seconds = ", ".join(f"{1e3 * x:.3g}" for x in late[long])
+        text = f"{segment.title}: recorded velocities are {seconds} ms later than the positions"
+        text += f" ({joints_text(long)}), as after a filter: derived from the positions"
+        made = replace(made, warnings=(*made.warnings, LateVelocityWarning(text)))
     return replace(made, warnings=(*made.warnings, *_protected(made)))
 
 
@@ -334,7 +343,7 @@ def _protected(segment: Processed) -> Iterator[LieidWarning]:
 
 
 def _motion_at(
-    part: Recording, times: Array, cutoff: float
+    part: Recording, times: Array, cutoff: float, late: Mask
 ) -> tuple[Array, Array, Array, Mask, Array]:
     """Return q, dq, ddq, moving (K, n) and dead zones (n,) at uniform times, as in `Processed`."""
     rate = (times.size - 1) / float(times[-1] - times[0])
@@ -354,9 +363,9 @@ def _motion_at(
             noise = spectrum.noise_spread(filtering.decimate(measured, rate, step))
             return np.asarray(factor * _derivative_noise(q, derivative, rate, step) < noise)
 
-        derived = is_better(MUCH_LESS_NOISE, RATE_OVER_BAND * band)
+        derived = is_better(MUCH_LESS_NOISE, RATE_OVER_BAND * band) | late
         velocity = np.where(derived, derivative, measured)
-        better = is_better(LESS_NOISE, RATE_OVER_CUTOFF * cutoff)
+        better = is_better(LESS_NOISE, RATE_OVER_CUTOFF * cutoff) | late
         for_acceleration = np.where(better, derivative, measured)
         own = spectrum.noise_dead_zone(measured, kept=band / (0.5 * rate))
         dead_zone = np.where(derived, dead_zone, own)

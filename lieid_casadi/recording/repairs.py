@@ -8,6 +8,7 @@ A recorder that is faster than its source, or not synchronized with it, writes t
 again: now and then a row repeats the one before in all signals while the arm moves. The stamps
 are those of the recorder; the instants of measurement are up to a period earlier, by an amount
 that changes at each repeat. Velocities and accelerations derived across a repeat are wrong.
+Velocities that a drive filtered, or computed by differences, are found where they are late.
 """
 
 from __future__ import annotations
@@ -20,6 +21,12 @@ import numpy as np
 from lieid_casadi import errors
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.messages import joints_text
+from lieid_casadi.recording.filtering import (
+    lowpass,
+    sixth_order_difference,
+    smooth_at,
+    uniform_time,
+)
 from lieid_casadi.recording.measurement import (
     FIELDS,
     OPTIONAL_SIGNALS,
@@ -28,7 +35,7 @@ from lieid_casadi.recording.measurement import (
     first_fault,
     in_range,
 )
-from lieid_casadi.recording.sample_timing import gap_limit, sample_period
+from lieid_casadi.recording.sample_timing import gap_limit, sample_period, sample_rate
 
 Measured = TypeVar("Measured", bound=Measurement)
 
@@ -55,6 +62,9 @@ LONG = 2.0
 ENOUGH = 3
 #: Largest spread of the stamps about uniform ones, in periods of the recorder (one, and jitter).
 SPREAD = 1.5
+#: Standard errors, by the scatter of so many parts, from which the time by which velocities are
+#: late is certain, and least such time in samples: differences of two are late by 0.5.
+CERTAIN, PARTS, LEAST_LATE = 3.0, 10, 0.25
 
 
 def without_damaged_rows(measurement: Measurement) -> tuple[Measurement, Fault | None]:
@@ -216,6 +226,25 @@ def without_repeats(segment: Measured) -> tuple[Measured, errors.RepeatedRowsWar
         "recorder"
     )
     return replace(kept, t=stamps), warning
+
+
+def late_velocities(segment: Measurement, cutoff: float) -> Array:
+    """Return the times (n,) by which velocities are certainly later than the positions, s, or 0.
+
+    A velocity that is late by T, below the cut-off, Hz, is too small by T times its derivative.
+    """
+    if segment.dq is None:
+        return np.zeros(segment.n)
+    t, rate = segment.t, sample_rate(segment.t)
+    times = uniform_time(t, rate)
+    dq = lowpass(smooth_at(t, segment.dq, times), rate, cutoff)
+    derived = sixth_order_difference(smooth_at(t, segment.q, times), rate)
+    missing, ddq = lowpass(derived, rate, cutoff) - dq, sixth_order_difference(dq, rate)
+    squares = np.maximum(np.sum(ddq**2, axis=0), 1e-300)
+    late = np.sum(missing * ddq, axis=0) / squares
+    parts = np.array_split((missing - late * ddq) * ddq, PARTS)
+    std = np.sqrt(sum(part.sum(axis=0) ** 2 for part in parts)) / squares
+    return np.where(late > np.maximum(CERTAIN * std, LEAST_LATE / rate), late, 0.0)
 
 
 def repeats(recording: Measurement) -> Mask:

@@ -25,6 +25,8 @@ LEAST_BANDS, MOST_BANDS = 6.0, 25.0
 BANDS_OF_LAWS, NOISE_OF_LAWS = 3.0, 1e-3
 #: Rate of the torque from which the cut-off is chosen, Hz: arms do not move at higher frequencies.
 TORQUE_RATE = 400.0
+#: Frequency, Hz, above which velocities are noise, as of a coarse encoder at a high rate.
+HIGHEST_MOTION = 30.0
 #: Rows from which the cut-off is chosen: a spectrum needs no more.
 ENOUGH_ROWS = 1 << 19
 #: Motion, rad or m, and rows that a band is determined from; less is noise about rest.
@@ -153,6 +155,7 @@ def _band(dq: Array, rate: float, *, rounding: Array | None = None) -> float | N
         return None
     length = min(dq.shape[0], round(8.0 * rate))
     frequency, density = welch(dq[:, moves], rate, nperseg=length, axis=0)
+    density[frequency > HIGHEST_MOTION] = 0.0
     if rounding is not None:
         gain = (rate * np.sin(2.0 * np.pi * frequency / rate)) ** 2
         noise = gain[:, None] * rounding[moves] * 2.0 / rate

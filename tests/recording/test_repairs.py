@@ -1,12 +1,16 @@
 """Small damage of files is repaired and counted; sound recordings stay as they are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from recording.planar_arm import measured, motion, rigid_torque
+from scipy.signal import lfilter
 
 from lieid_casadi.errors import (
     DamagedRowsWarning,
     DuplicateRowsWarning,
+    LateVelocityWarning,
     OutlierWarning,
     RecordingError,
     RepairWarning,
@@ -14,7 +18,7 @@ from lieid_casadi.errors import (
     WrappedAngleWarning,
 )
 from lieid_casadi.recording import Processing, Recording, process
-from lieid_casadi.recording.repairs import repeats
+from lieid_casadi.recording.repairs import late_velocities, repeats
 
 
 @pytest.fixture
@@ -204,3 +208,56 @@ def test_rest_and_coarse_signals_are_no_repeats():
     assert not repeats(coarse).any()
     (segment,) = process(still, Processing(cutoff=3.0))
     assert not segment.warnings
+
+
+# -- Velocities that are late --
+
+
+def run_with(velocity, *, rate=100.0, counts=2.0**16, seed=0):
+    """Return a run of two joints whose recorded velocity is a function of the true one at 2 kHz."""
+    random, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 0.0005)
+    phase = 2.0 * np.pi * np.outer(t, [0.31, 0.47]) + random.uniform(0.0, 6.0, 2)
+    q = np.sin(phase) + 0.2 * np.sin(3.0 * phase)
+    dq = np.gradient(q, t, axis=0)
+    step, quantum = round(2000.0 / rate), 2.0 * np.pi / counts
+    measured = velocity(dq) + 1e-3 * random.normal(size=dq.shape)
+    rounded = np.round(q / quantum) * quantum
+    return Recording.from_arrays(t[::step], rounded[::step], measured[::step]), dq[::step]
+
+
+def filtered(seconds):
+    keep = np.exp(-0.0005 / seconds)
+    return lambda dq: lfilter([1 - keep], [1, -keep], dq, axis=0, zi=keep * dq[:1])[0]
+
+
+@pytest.mark.parametrize("counts", [2.0**12, 2.0**16])
+@pytest.mark.parametrize("seconds", [0.01, 0.02])
+def test_the_time_by_which_a_filtered_velocity_is_late(seconds, counts):
+    recording, _ = run_with(filtered(seconds), counts=counts)
+    np.testing.assert_allclose(late_velocities(recording, 5.0), seconds, rtol=0.1)
+
+
+def test_a_late_velocity_is_derived_from_the_positions():
+    recording, dq = run_with(filtered(0.02))
+    (segment,) = process(recording, Processing(cutoff=5.0))
+    (warning,) = segment.warnings
+    assert isinstance(warning, LateVelocityWarning)
+    assert "joints 1, 2" in str(warning)
+    assert np.std(segment.dq - dq[: len(segment)], axis=0).max() < 0.005  # recorded: 0.1
+
+
+def test_differences_to_the_sample_before_are_late_by_half_a_sample():
+    recording, dq = run_with(lambda dq: dq)
+    late = np.diff(recording.q[[0, *range(len(recording))]], axis=0) * 100.0
+    late[0] = late[1]
+    (segment,) = process(replace(recording, dq=late), Processing(cutoff=5.0))
+    assert not segment.warnings
+    np.testing.assert_allclose(late_velocities(replace(recording, dq=late), 5.0), 0.005, rtol=0.05)
+    assert np.std(segment.dq - dq[: len(segment)], axis=0).max() < 0.01  # recorded: 0.02
+
+
+@pytest.mark.parametrize("counts", [2.0**12, 2.0**14, 2.0**18])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_velocity_in_time_is_kept(seed, counts):
+    recording, _ = run_with(lambda dq: dq, counts=counts, seed=seed)
+    assert not late_velocities(recording, 5.0).any()
