@@ -14,6 +14,7 @@ from lieid_casadi.premises.plain_fit import Samples
 from lieid_casadi.premises.screen import Alternative, Screen, best_on
 from lieid_casadi.recording import Recording, sample_timing
 from lieid_casadi.recording.plausibility import unit_of_velocity
+from lieid_casadi.recording.repairs import time_late
 
 #: Mean speed below which no arm is recorded to identify it, rad/s.
 SLOWEST_ARM = 2e-3
@@ -147,7 +148,7 @@ def velocity(s: Samples) -> Alternative | None:
     else:
         missing = (s.dq - s.measured)[:, joints] / size[joints]
         rates = with_measured_velocity(s).ddq[:, joints] / size[joints]
-        late = float(np.sum(missing * rates) / max(float(np.sum(rates**2)), 1e-300))
+        late = float(time_late(missing.ravel(), rates.ravel()))
         if np.sum((missing - late * rates) ** 2) < BY_FILTER**2 * np.sum(missing**2):
             seconds, what = late, f"is low-pass filtered or delayed by {late:.3g} s"
     if slow and seconds < LONG_LAG:

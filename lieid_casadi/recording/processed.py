@@ -319,7 +319,7 @@ def _process_segment(segment: Recording, options: Processing, cutoff: float) -> 
         options=options,
         warnings=() if repeated is None else (repeated,),
     )
-    if (long := late * sample_rate(t) > 1.0).any():
+    if (long := late * rate > 1.0).any():
         seconds = ", ".join(f"{1e3 * x:.3g}" for x in late[long])
         text = f"{segment.title}: recorded velocities are {seconds} ms later than the positions"
         text += f" ({joints_text(long)}), as after a filter: derived from the positions"

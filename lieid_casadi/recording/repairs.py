@@ -21,12 +21,7 @@ import numpy as np
 from lieid_casadi import errors
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.messages import joints_text
-from lieid_casadi.recording.filtering import (
-    lowpass,
-    sixth_order_difference,
-    smooth_at,
-    uniform_time,
-)
+from lieid_casadi.recording import filtering
 from lieid_casadi.recording.measurement import (
     FIELDS,
     OPTIONAL_SIGNALS,
@@ -228,22 +223,29 @@ def without_repeats(segment: Measured) -> tuple[Measured, errors.RepeatedRowsWar
     return replace(kept, t=stamps), warning
 
 
-def late_velocities(segment: Measurement, cutoff: float) -> Array:
-    """Return the times (n,) by which velocities are certainly later than the positions, s, or 0.
+def time_late(missing: Array, rates: Array) -> Array:
+    """Return the time, s, by which velocities are late: what they lack per derivative."""
+    squares = np.maximum(np.sum(rates**2, axis=0), 1e-300)
+    return np.asarray(np.sum(missing * rates, axis=0) / squares)
 
-    A velocity that is late by T, below the cut-off, Hz, is too small by T times its derivative.
+
+def late_velocities(segment: Measurement, cutoff: float) -> Array:
+    """Return the times (n,), s, by which velocities below the cut-off, Hz, are certainly late.
+
+    They are late relative to the positions; 0 where that is not certain.
     """
     if segment.dq is None:
         return np.zeros(segment.n)
     t, rate = segment.t, sample_rate(segment.t)
-    times = uniform_time(t, rate)
-    dq = lowpass(smooth_at(t, segment.dq, times), rate, cutoff)
-    derived = sixth_order_difference(smooth_at(t, segment.q, times), rate)
-    missing, ddq = lowpass(derived, rate, cutoff) - dq, sixth_order_difference(dq, rate)
-    squares = np.maximum(np.sum(ddq**2, axis=0), 1e-300)
-    late = np.sum(missing * ddq, axis=0) / squares
+    times = filtering.uniform_time(t, rate)
+    dq = filtering.lowpass(filtering.smooth_at(t, segment.dq, times), rate, cutoff)
+    derived = filtering.sixth_order_difference(filtering.smooth_at(t, segment.q, times), rate)
+    missing = filtering.lowpass(derived, rate, cutoff) - dq
+    ddq = filtering.sixth_order_difference(dq, rate)
+    late = time_late(missing, ddq)
     parts = np.array_split((missing - late * ddq) * ddq, PARTS)
-    std = np.sqrt(sum(part.sum(axis=0) ** 2 for part in parts)) / squares
+    spread = np.sqrt(sum(part.sum(axis=0) ** 2 for part in parts))
+    std = spread / np.maximum(np.sum(ddq**2, axis=0), 1e-300)
     return np.where(late > np.maximum(CERTAIN * std, LEAST_LATE / rate), late, 0.0)
 
 

@@ -243,7 +243,7 @@ def test_a_late_velocity_is_derived_from_the_positions():
     (warning,) = segment.warnings
     assert isinstance(warning, LateVelocityWarning)
     assert "joints 1, 2" in str(warning)
-    assert np.std(segment.dq - dq[: len(segment)], axis=0).max() < 0.005  # recorded: 0.1
+    assert np.std(segment.dq - dq[: len(segment)], axis=0).max() < 0.005  # recorded: 0.11, 0.25
 
 
 def test_differences_to_the_sample_before_are_late_by_half_a_sample():
@@ -253,7 +253,7 @@ def test_differences_to_the_sample_before_are_late_by_half_a_sample():
     (segment,) = process(replace(recording, dq=late), Processing(cutoff=5.0))
     assert not segment.warnings
     np.testing.assert_allclose(late_velocities(replace(recording, dq=late), 5.0), 0.005, rtol=0.05)
-    assert np.std(segment.dq - dq[: len(segment)], axis=0).max() < 0.01  # recorded: 0.02
+    assert np.std(segment.dq - dq[: len(segment)], axis=0).max() < 0.01  # recorded: 0.03, 0.06
 
 
 @pytest.mark.parametrize("counts", [2.0**12, 2.0**14, 2.0**18])
