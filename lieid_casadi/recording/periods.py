@@ -50,8 +50,7 @@ def period_noise(recording: Recording, *, cutoff: float | None = None) -> Array 
     period = detect_period(recording)
     if period is None:
         return None
-    rate = recording.rate
-    grid = uniform_time(recording.t, rate)
+    rate, grid = recording.rate, uniform_time(recording.t, recording.rate)
     tau = straight_at(recording.t, recording.tau, grid)
     edge = 0
     if cutoff is not None:

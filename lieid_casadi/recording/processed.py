@@ -283,13 +283,12 @@ def _too_short(segment: Recording, cutoff: float, trim: float) -> str | None:
 
 def _process_segment(segment: Recording, options: Processing, cutoff: float) -> Processed:
     fresh, repeated = without_repeats(segment)
-    rate = sample_rate(fresh.t)
+    t, rate = fresh.t, sample_rate(fresh.t)
     if cutoff >= filtering.HIGHEST_CUTOFF * rate:
         raise RecordingError(
             f"{segment.title}: cutoff {cutoff:g} Hz, expected less than "
             f"{filtering.HIGHEST_CUTOFF * rate:.3g} Hz at a rate of {rate:.4g} Hz"
         )
-    t = fresh.t
     times = filtering.uniform_time(t, rate)
     rate = (times.size - 1) / float(t[-1] - t[0])
     step = max(1, int(rate / max(GRID_OVER_CUTOFF * cutoff, LEAST_GRID)))

@@ -230,10 +230,7 @@ def time_late(missing: Array, rates: Array) -> Array:
 
 
 def late_velocities(segment: Measurement, cutoff: float) -> Array:
-    """Return the times (n,), s, by which velocities below the cut-off, Hz, are certainly late.
-
-    They are late relative to the positions; 0 where that is not certain.
-    """
+    """Return the times (n,), s, by which velocities are certainly later than positions, or 0."""
     if segment.dq is None:
         return np.zeros(segment.n)
     t, rate = segment.t, sample_rate(segment.t)

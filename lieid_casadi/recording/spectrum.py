@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import welch
 
-from lieid_casadi.arrays import Array, Mask
+from lieid_casadi.arrays import Array
 from lieid_casadi.recording.conversion import is_torque_of_laws
 from lieid_casadi.recording.filtering import (
     central_difference,
@@ -44,12 +44,12 @@ def choose_cutoff(recording: Recording) -> float:
     """Return the cut-off, Hz, up to which the motion explains the torque.
 
     Each torque is fitted by gravity-like (sines and cosines of all joints), inertia-like and
-    friction-like columns; the band ends where the spectrum of the fitted torque falls below
-    that of the residual (median over the joints). At least six and at most 25 times the
-    band of the motion (:func:`motion_band`), at most a quarter of the rate. Without torque
-    six times the band of the motion. With that of control laws at most the frequency up to
-    which the noise of positions is a thousandth of each acceleration's power, or three times that
-    band. Two digits; 5 Hz where nothing moves.
+    friction-like columns. The band ends (median over the joints) where the spectrum of the fitted
+    torque falls below that of the residual, or where noise of accelerations, by which least squares
+    make inertia smaller, is half of the latter. At least six (without torque: just six) and at most
+    25 times the band of the motion (:func:`motion_band`), and a quarter of the rate. With torque of
+    laws at most the frequency up to which the noise of positions is a thousandth of each
+    acceleration's power, or three times that band. Two digits; 5 Hz where nothing moves.
     """
     longest = max(recording.segments(), key=lambda segment: segment.duration)
     longest, _ = without_repeats(longest)
@@ -79,10 +79,13 @@ def _accurate_band(recording: Recording, band: float) -> float:
     q = smooth_at(recording.t, recording.q[:, moving], uniform_time(recording.t, rate))
     speed = lowpass(central_difference(q, rate), rate, min(BANDS_OF_LAWS * band, 0.4 * rate))
     power = np.mean(central_difference(speed, rate) ** 2, axis=0)
-    rounding = resolution(recording.q[:, moving]) ** 2 / 12.0
-    noise = np.maximum(noise_spread(q) ** 2, rounding)
-    whole = 2.0 * noise * (2.0 * np.pi) ** 4 / (5.0 * rate)
+    whole = _density(recording.q[:, moving], q, rate) * (2.0 * np.pi) ** 4 / 5.0
     return float(np.min((NOISE_OF_LAWS * power / np.maximum(whole, 1e-300)) ** 0.2, initial=np.inf))
+
+
+def _density(recorded: Array, x: Array, rate: float) -> Array:
+    """Return the spectral density (n,) of white noise of signals, at least of their rounding."""
+    return 2.0 / rate * np.maximum(noise_spread(x) ** 2, resolution(recorded) ** 2 / 12.0)
 
 
 def _explained_band(recording: Recording) -> float | None:
@@ -91,38 +94,39 @@ def _explained_band(recording: Recording) -> float | None:
     moving = np.ptp(recording.q, axis=0) > ENOUGH_MOTION
     if torque is None or not moving.any():
         return None
-    rate = recording.rate
-    grid = uniform_time(recording.t, rate)
-    step = max(1, int(rate / TORQUE_RATE))
-    q = decimate(smooth_at(recording.t, recording.q, grid), rate, step)
+    t, rate = recording.t, recording.rate
+    grid, step = uniform_time(t, rate), max(1, int(rate / TORQUE_RATE))
+    q = smooth_at(t, recording.q[:, moving], grid)
+    noise = np.array([_density(recording.q[:, moving], q, rate), np.full(q.shape[1], np.inf)])
+    q = decimate(q, rate, step)
     if len(q) < LEAST_ROWS:
         return None
-    tau = decimate(straight_at(recording.t, torque, grid), rate, step)
-    if recording.dq is None:
-        dq = central_difference(q, rate / step)
-    else:
-        dq = decimate(smooth_at(recording.t, recording.dq, grid), rate, step)
-    bands = _noise_frequencies(q, dq, tau, rate / step, moving)
-    return float(np.median(bands)) if bands else None
+    tau = decimate(straight_at(t, torque[:, moving], grid), rate, step)
+    dq = central_difference(q, rate / step)
+    if recording.dq is not None:
+        dq = smooth_at(t, recording.dq[:, moving], grid)
+        noise[1], dq = _density(recording.dq[:, moving], dq, rate), decimate(dq, rate, step)
+    return float(np.median(_noise_frequencies(q, dq, tau, rate / step, noise)))
 
 
-def _noise_frequencies(q: Array, dq: Array, tau: Array, rate: float, moving: Mask) -> list[float]:
-    ddq = central_difference(lowpass(dq, rate, min(30.0, 0.4 * rate)), rate)
-    ones = np.ones((q.shape[0], 1))
-    common = np.hstack([ones, np.sin(q[:, moving]), np.cos(q[:, moving]), ddq[:, moving]])
+def _noise_frequencies(q: Array, dq: Array, tau: Array, rate: float, noise: Array) -> list[float]:
+    """Return where noise dominates each torque; it is (2, n) of q and dq, per Hz."""
+    ddq = central_difference(lowpass(dq, rate, min(HIGHEST_MOTION, 0.4 * rate)), rate)
+    common = np.hstack([np.ones((q.shape[0], 1)), np.sin(q), np.cos(q), ddq])
     length = min(q.shape[0], max(16, round(4.0 * rate)))
-    dead_zone = noise_dead_zone(dq)
-    bands = []
-    for joint in np.nonzero(moving)[0]:
-        sign = np.tanh(dq[:, joint] / dead_zone[joint])
-        columns = np.column_stack([common, sign, dq[:, joint]])
-        fitted = columns @ np.linalg.lstsq(columns, tau[:, joint], rcond=None)[0]
-        both = np.column_stack([fitted, tau[:, joint] - fitted])
+    signs, bands = np.tanh(dq / noise_dead_zone(dq)), []
+    for sign, speed, torque in zip(signs.T, dq.T, tau.T, strict=True):
+        columns = np.column_stack([common, sign, speed])
+        coefficients = np.linalg.lstsq(columns, torque, rcond=None)[0]
+        fitted, inertia = columns @ coefficients, coefficients[-2 - q.shape[1] : -2]
+        both = np.column_stack([fitted, torque - fitted])
         frequency, density = welch(both, rate, nperseg=length, axis=0)
         ratio = np.log(np.maximum(density[:, 0], 1e-300) / np.maximum(density[:, 1], 1e-300))
         ratio = np.convolve(ratio, np.full(5, 0.2), "same")
+        squares = (2.0 * np.pi * frequency[:, None]) ** 2
+        own = squares * np.minimum(squares * noise[0], noise[1]) @ inertia**2
         # the lowest bins are blurred by the window and by the mean
-        below = np.nonzero(ratio[3:-3] < 0.0)[0]
+        below = np.nonzero(((ratio < 0.0) | (own > 0.5 * density[:, 1]))[3:-3])[0]
         bands.append(float(frequency[below[0] + 3] if below.size else frequency[-1]))
     return bands
 
@@ -133,8 +137,7 @@ def motion_band(recording: Recording) -> float | None:
     moves = np.ptp(longest.q, axis=0) > LEAST_MOTION
     if len(longest) < LEAST_ROWS or not moves.any():
         return None
-    rate = longest.rate
-    grid = uniform_time(longest.t, rate)
+    rate, grid = longest.rate, uniform_time(longest.t, longest.rate)
     q = smooth_at(longest.t, longest.q[:, moves], grid)
     rounding = resolution(longest.q[:, moves]) ** 2 / 12.0
     bands = [_band(central_difference(q, rate), rate, rounding=rounding)]

@@ -14,6 +14,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from plant.recordings import recorded
 from robot.random_arms import random_arm
+from scipy.signal import lfilter
 from scipy.stats import false_discovery_control, norm
 from scipy.stats import t as student
 
@@ -129,6 +130,18 @@ def test_parts_of_periodic_motion_with_a_gap_are_stretches_of_the_period():
     for k in range(10):
         inside = (phase > k + 0.1) & (phase < k + 0.9)
         assert len(np.unique(part[inside])) == 1
+
+
+def test_an_effect_of_periodic_motion_is_found_in_noise_that_lasts_longer_than_its_parts():
+    """Parts are tenths of a period of 4 s, and the noise is correlated over 1 s."""
+    arm, t = arm_with(LOAD_FRICTION), np.arange(0.0, 24.0, 0.002)
+    motion = plant.FourierTrajectory(ROBOT, base_frequency=0.25, seed=3).at(t % 4.0)
+    recording = plant.measure_along(arm, t, *motion, sensors=plant.demo_sensors(ROBOT), seed=1)
+    kept = np.exp(-0.002)
+    white = np.random.default_rng(0).normal(0.0, np.sqrt(1.0 - kept**2), recording.tau.shape)
+    slow = 0.1 * lfilter([1.0], [1.0, -kept], white, axis=0)
+    diagnosis = lieid.diagnose(MODEL, replace(recording, tau=recording.tau + slow))
+    assert diagnosis.steps[0].label == "load_friction:1"
 
 
 def test_a_search_that_ends_at_its_rounds_says_so(monkeypatch):

@@ -250,6 +250,30 @@ def test_band_and_cutoff_follow_the_motion(frequency, noise):
     assert choose_cutoff(recording) == pytest.approx(6 * frequency, rel=0.3, abs=1.5)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("with_velocity", [False, True])
+def test_nothing_is_fitted_where_accelerations_are_noise(seed, with_velocity):
+    """With 2¹⁸ counts their noise is half of that of the torque at 8 Hz, friction ends at 19 Hz."""
+    random, inertia = np.random.default_rng(seed), 2.0
+    t = np.arange(0.0, 40.0, 0.01)
+    phase, f = random.uniform(0.0, 6.0, 3), 0.4 * np.pi * np.arange(1, 4)
+    q, dq, ddq = (0.3 * f**k * np.sin(f * t[:, None] + phase + k * np.pi / 2) for k in range(3))
+    torque = np.sign(dq.sum(axis=1)) + inertia * ddq.sum(axis=1) + 0.05 * random.normal(size=t.size)
+
+    def cutoff(counts):
+        step = 2.0 * np.pi / counts
+        rounded = step * np.round(q.sum(axis=1, keepdims=True) / step)
+        dq_too = dq.sum(axis=1, keepdims=True) if with_velocity else None
+        return choose_cutoff(Recording(t=t, q=rounded, dq=dq_too, tau=torque[:, None]))
+
+    fine, coarse = cutoff(2.0**40), cutoff(2.0**18)
+    if with_velocity:  # these have no noise
+        assert coarse == pytest.approx(fine, rel=0.1)
+    else:
+        assert coarse < 0.6 * fine
+        assert cutoff(2.0**12) < 0.3 * fine
+
+
 @pytest.mark.parametrize("rate", [200.0, 1000.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_coarse_encoders_do_not_widen_the_band(seed, rate):

@@ -95,8 +95,8 @@ class Noise:
     """One joint's noise: an autoregression e_k = −Σ a_i·e_{k−i} + σ·white."""
 
     filter: Array  # (p + 1,): 1, a_1 … a_p
-    sigma: float  # of the white part, and of e itself, N·m
-    spread: float  # of the white part, and of e itself, N·m
+    sigma: float  # standard deviation of the white part, N·m
+    spread: float  # of e itself, N·m
     #: estimated ratio of model errors on other motion to ``spread``, at least 1
     motion_ratio: float = 1.0
 
