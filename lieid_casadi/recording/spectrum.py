@@ -44,12 +44,12 @@ def choose_cutoff(recording: Recording) -> float:
     """Return the cut-off, Hz, up to which the motion explains the torque.
 
     Each torque is fitted by gravity-like (sines and cosines of all joints), inertia-like and
-    friction-like columns. The band ends (median over the joints) where the spectrum of the fitted
-    torque falls below that of the residual, or where noise of accelerations, by which least squares
-    make inertia smaller, is half of the latter. At least six (without torque: just six) and at most
-    25 times the band of the motion (:func:`motion_band`), and a quarter of the rate. With torque of
-    laws at most the frequency up to which the noise of positions is a thousandth of each
-    acceleration's power, or three times that band. Two digits; 5 Hz where nothing moves.
+    friction-like columns. The band ends where the spectrum of the fitted torque falls below that of
+    the residual (median over the joints), or where noise of accelerations, by which least squares
+    make inertia smaller, is half of any joint's residual. At least six (without torque: just six)
+    and at most 25 times the band of the motion (:func:`motion_band`), at most a quarter of the
+    rate. With torque of laws at most the frequency up to which the noise of positions is a
+    thousandth of each acceleration's power, or three times that band. Two digits; 5 Hz at rest.
     """
     longest = max(recording.segments(), key=lambda segment: segment.duration)
     longest, _ = without_repeats(longest)
@@ -89,7 +89,7 @@ def _density(recorded: Array, x: Array, rate: float) -> Array:
 
 
 def _explained_band(recording: Recording) -> float | None:
-    """Return the frequency above which noise dominates the torque, median over the joints."""
+    """Return the frequency above which noise dominates the torque."""
     torque = recording.tau if recording.tau is not None else recording.current
     moving = np.ptp(recording.q, axis=0) > ENOUGH_MOTION
     if torque is None or not moving.any():
@@ -106,11 +106,12 @@ def _explained_band(recording: Recording) -> float | None:
     if recording.dq is not None:
         dq = smooth_at(t, recording.dq[:, moving], grid)
         noise[1], dq = _density(recording.dq[:, moving], dq, rate), decimate(dq, rate, step)
-    return float(np.median(_noise_frequencies(q, dq, tau, rate / step, noise)))
+    dominated, accelerated = _noise_frequencies(q, dq, tau, rate / step, noise).T
+    return float(min(np.median(dominated), accelerated.min()))
 
 
-def _noise_frequencies(q: Array, dq: Array, tau: Array, rate: float, noise: Array) -> list[float]:
-    """Return where noise dominates each torque; it is (2, n) of q and dq, per Hz."""
+def _noise_frequencies(q: Array, dq: Array, tau: Array, rate: float, noise: Array) -> Array:
+    """Return where noise (2, n) of q and dq, per Hz, dominates each torque, and its residual."""
     ddq = central_difference(lowpass(dq, rate, min(HIGHEST_MOTION, 0.4 * rate)), rate)
     common = np.hstack([np.ones((q.shape[0], 1)), np.sin(q), np.cos(q), ddq])
     length = min(q.shape[0], max(16, round(4.0 * rate)))
@@ -126,9 +127,10 @@ def _noise_frequencies(q: Array, dq: Array, tau: Array, rate: float, noise: Arra
         squares = (2.0 * np.pi * frequency[:, None]) ** 2
         own = squares * np.minimum(squares * noise[0], noise[1]) @ inertia**2
         # the lowest bins are blurred by the window and by the mean
-        below = np.nonzero(((ratio < 0.0) | (own > 0.5 * density[:, 1]))[3:-3])[0]
-        bands.append(float(frequency[below[0] + 3] if below.size else frequency[-1]))
-    return bands
+        noisy = np.column_stack([ratio < 0.0, own > 0.5 * density[:, 1]])
+        noisy[:3], noisy[-3:] = False, True
+        bands.append(frequency[np.argmax(noisy, axis=0)])
+    return np.array(bands)
 
 
 def motion_band(recording: Recording) -> float | None:
