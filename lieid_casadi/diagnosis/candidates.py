@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.diagnosis.events import moves_enough
+from lieid_casadi.diagnosis.events import follows_commands, moves_enough
 from lieid_casadi.diagnosis.incremental import incremental
 from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
 from lieid_casadi.effects.registry import usable
@@ -26,8 +26,6 @@ from lieid_casadi.identification.regression.variable_projection import (
 from lieid_casadi.messages import in_unit
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
-from lieid_casadi.recording.conversion import is_torque_of_laws
-from lieid_casadi.robot import Robot
 
 LEAST_TEMPERATURE_RANGE = 0.5  # °C, of a joint: less is the resolution of a sensor
 GRID = 25  # values of one shape parameter; its square root for each of two
@@ -106,6 +104,11 @@ class Candidate:
     def effect(self) -> Effect:
         """The effect."""
         return self.placement.effect
+
+    @property
+    def follows_time(self) -> bool:
+        """Whether its torque is a function of time alone, as slow noise is."""
+        return self.effect.per_recording or bool(self.course and not self.effect.signals)
 
     @property
     def name(self) -> str:
@@ -188,7 +191,7 @@ def list_candidates(
     and of how many values it is a choice. If the model is fixed, effects of the model are
     candidates too, as changes.
     """
-    commanded = follows_commands(model.robot, segments)
+    commanded = follows_commands(model.robot, [s.recording for s in segments])
     have = set() if model_fixed else {p.label for p in model.placements}
     moves = moves_enough(model.robot, segments)
     found: list[Candidate] = []
@@ -288,14 +291,6 @@ def follows_velocity(effect: Effect) -> bool:
     """Return whether an effect is a function of its joint's velocity alone."""
     alone = not (effect.states or effect.couples or isinstance(effect, ArmEffect))
     return alone and bool(effect.signals) and {"dq", "sign"} >= set(effect.signals)
-
-
-def follows_commands(robot: Robot, segments: Sequence[Processed]) -> bool:
-    """Return whether the torque of the recordings is that of the robot's control laws."""
-    drives = robot.drives
-    if drives is None:
-        return False
-    return all(is_torque_of_laws(segment.recording, drives) for segment in segments)
 
 
 def _placements(effect: Effect, n: int) -> list[Placement]:

@@ -104,6 +104,12 @@ def standstill_events(robot: Robot, segments: Sequence[Processed]) -> tuple[Even
     return (Event("standstill", source, start, end, tuple(map(int, joints)), 0.0, sentence),)
 
 
+def follows_commands(robot: Robot, recordings: Sequence[Recording]) -> bool:
+    """Return whether the torque of the recordings is that of the robot's control laws."""
+    drives = robot.drives
+    return drives is not None and all(is_torque_of_laws(r, drives) for r in recordings)
+
+
 def with_brief_effects(fit: Fit, recordings: Sequence[Recording], method: Method) -> Fit:
     """Return a fit whose transient errors are not those of effects that act for short times.
 
@@ -113,8 +119,7 @@ def with_brief_effects(fit: Fit, recordings: Sequence[Recording], method: Method
     has transient errors, that with limits or with backlash on every joint is returned if these are
     fewer and its held-out error is lower.
     """
-    drives = fit.model.robot.drives
-    if drives is None or not all(is_torque_of_laws(r, drives) for r in recordings):
+    if not follows_commands(fit.model.robot, recordings):
         return fit
     judged, least = fit, _left_out(fit, recordings)
     for effect in BRIEF if least > 0.0 else ():

@@ -153,6 +153,9 @@ def judge(
     values = dict(zip(whole, np.split(both, ends.astype(int)), strict=False))
     torque = {g: outside[g] @ values[g] for g in whole}
     members = [_members(whole, path, outside, torque, columns.owner) for path in parts]
+    if not folds.apart:  # the noise of a part is known from the rows around it
+        slow = {g: () for g in whole if columns.candidate(g).follows_time}
+        members = [own | slow for own in members]
     gains, expected = np.zeros((2, len(whole), folds.count))
     squares = np.zeros((folds.count, n + 1))
     before, after = np.zeros((2, len(whole), folds.count, n + 1))

@@ -29,6 +29,7 @@ class Folds:
     #: theirs
     out: Mask
     gap: float
+    apart: bool  # whether that is all that noise needs: a short period has no rows for more
     #: (n,): stretches of the recordings, as long as the correlation of each joint's residual
     independent: Indices
 
@@ -72,15 +73,15 @@ def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:
     noise = [noise_of(r, run) for r, run in zip(residual, rows.runs, strict=True)]
     lasting = np.array([redundancy(each) for each in noise])
     correlated = lasting / (RATE_OVER_CUTOFF * rows.segments[0].cutoff)
-    place, near = places(rows, count)
+    place = places(rows, count)
     whole = sum(float(s.filtered_time[-1] - s.filtered_time[0]) for s in rows.segments)
-    stretch = whole / (1 + np.count_nonzero(np.diff(place)))
-    gap = min(float(correlated.max()), LARGEST_GAP * stretch)
+    needed = min(float(correlated.max()), LARGEST_GAP * whole / count)
+    gap = min(needed, LARGEST_GAP * whole / (1 + np.count_nonzero(np.diff(place))))
     held = [place == k for k in range(count)]
-    out = [own | (_distance(near, near[own]) < gap) for own in held]
+    out = [own | (_distance(rows.times, rows.times[own]) < gap) for own in held]
     at = np.concatenate([run.all for run in rows.runs])
     independent = (whole / correlated).astype(np.intp)
-    return Folds(np.array(held)[:, at], np.array(out)[:, at], gap, independent)
+    return Folds(np.array(held)[:, at], np.array(out)[:, at], gap, gap >= needed, independent)
 
 
 def redundancy(noise: Noise) -> float:
@@ -89,11 +90,8 @@ def redundancy(noise: Noise) -> float:
     return max(long_run / noise.spread**2, 1.0)
 
 
-def places(rows: Rows, count: int) -> tuple[Indices, Array]:
-    """Return the part of each instant of the common time line, and its time, s.
-
-    Time counts while some joint moves, so that no part is a rest.
-    """
+def places(rows: Rows, count: int) -> Indices:
+    """Return the part of each instant of the common time line; time at rest does not count."""
     used = np.zeros(len(rows.times))
     for run in rows.runs:
         used[run.all] = 1.0
@@ -103,7 +101,7 @@ def places(rows: Rows, count: int) -> tuple[Indices, Array]:
         if period := next(filter(None, periods), None):
             own = rows.recordings == k
             place[own] = rows.clock[own] % period / period
-    return np.minimum((count * place).astype(np.intp), count - 1), rows.times
+    return np.minimum((count * place).astype(np.intp), count - 1)
 
 
 def _distance(times: Array, others: Array) -> Array:

@@ -52,8 +52,9 @@ class UnseenMotion:
         fit, segments = rows.fit, rows.segments
         if fit.model.robot.drives is None or any(s.recording.command is None for s in segments):
             return None
-        part, times = places(rows, folds.count)
-        edges = times[np.flatnonzero(np.diff(part)) + 1]  # half a stretch: each has whole windows
+        part = places(rows, folds.count)
+        edges = rows.times[np.flatnonzero(np.diff(part)) + 1]
+        # half a stretch: each has whole windows
         window = min(LONGEST_WINDOW, 0.5 * float(np.median(np.diff(edges))))
         found = []
         for k, segment in enumerate(segments):

@@ -92,15 +92,13 @@ def _explained_band(recording: Recording) -> float | None:
     """Return the frequency above which noise dominates the torque."""
     torque = recording.tau if recording.tau is not None else recording.current
     moving = np.ptp(recording.q, axis=0) > ENOUGH_MOTION
-    if torque is None or not moving.any():
-        return None
     t, rate = recording.t, recording.rate
     grid, step = uniform_time(t, rate), max(1, int(rate / TORQUE_RATE))
+    if torque is None or not moving.any() or len(grid) < LEAST_ROWS * step:
+        return None
     q = smooth_at(t, recording.q[:, moving], grid)
     noise = np.array([_density(recording.q[:, moving], q, rate), np.full(q.shape[1], np.inf)])
     q = decimate(q, rate, step)
-    if len(q) < LEAST_ROWS:
-        return None
     tau = decimate(straight_at(t, torque[:, moving], grid), rate, step)
     dq = central_difference(q, rate / step)
     if recording.dq is not None:

@@ -44,7 +44,7 @@ def problem(seed, *, signal=(), size=0.5):
 def parts(count=5):
     block = np.tile(np.arange(ROWS) * count // ROWS, 2)
     held = np.array([block == k for k in range(count)])
-    return Folds(held, held, 0.0, np.array([100, 100]))
+    return Folds(held, held, 0.0, True, np.array([100, 100]))
 
 
 def rules(columns, penalty=20.0):
@@ -226,7 +226,7 @@ def test_an_effect_is_in_one_recording_only_if_every_path_says_so(with_all, expe
     residual = random.normal(size=ROWS) + 0.5 * own[:, 0]
     span = Span.of([random.normal(size=(ROWS, MODEL))], [residual])
     held = np.array([np.arange(ROWS) * 10 // ROWS == k for k in range(10)])
-    folds = Folds(held, held, 0.0, np.array([100]))
+    folds = Folds(held, held, 0.0, True, np.array([100]))
     paths = Paths(span, columns, folds.out)
     parts_of = [[0]] * with_all + [[1]] * (10 - with_all)
     (found,), _ = judge(paths, folds, [1], parts_of, {}, np.ones(ROWS, dtype=bool))
@@ -276,7 +276,7 @@ def test_an_effect_of_the_arm_counts_where_the_error_falls_most():
     residual = [random.normal(size=ROWS), random.normal(size=ROWS) + 2.0 * other[:, 0]]
     span = Span.of([random.normal(size=(ROWS, MODEL)) for _ in range(2)], residual)
     held = np.tile([np.arange(ROWS) * 10 // ROWS == k for k in range(10)], 2)
-    folds = Folds(held, held, 0.0, np.array([100, 100]))
+    folds = Folds(held, held, 0.0, True, np.array([100, 100]))
     paths = Paths(span, columns, folds.out)
     (found,), _ = judge(paths, folds, [0], [[0]] * 10, {}, np.ones(2 * ROWS, dtype=bool))
     assert (columns.candidate(found.group).joint, found.joint) == (0, 1)
@@ -293,7 +293,7 @@ def test_one_part_with_a_large_error_does_not_decide():
     columns = assemble([candidate], [0], [0], [1], [[(0, own)]], [ROWS])
     residual = np.where(held[0], 30.0, 1.0) * random.normal(size=ROWS) + 2.0 * own[:, 0]
     span = Span.of([model], [residual])
-    folds = Folds(held, held, 0.0, np.array([100]))
+    folds = Folds(held, held, 0.0, True, np.array([100]))
     paths = Paths(span, columns, folds.out)
     (found,), _ = judge(paths, folds, [0], [[0]] * 10, {}, np.ones(ROWS, dtype=bool))
     assert found.reason(DiagnosisOptions()) is None
@@ -339,7 +339,7 @@ def test_a_dead_band_counts_where_friction_neither_reverses_nor_rests():
     residual = random.normal(size=ROWS) + 5.0 * own[:, 0] * reversal
     span = Span.of([random.normal(size=(ROWS, MODEL))], [residual])
     held = np.array([np.arange(ROWS) * 10 // ROWS == k for k in range(10)])
-    folds = Folds(held, held, 0.0, np.array([100]))
+    folds = Folds(held, held, 0.0, True, np.array([100]))
     paths = Paths(span, columns, folds.out)
     friction = {kind: np.zeros((ROWS, 1)) for kind in ("late", "early", "rest")}
     found = [
