@@ -14,7 +14,6 @@ from lieid_casadi.diagnosis.step import LEAST_STRETCHES
 from lieid_casadi.identification.uncertainty.noise_model import RATE_OVER_CUTOFF, Noise, noise_of
 from lieid_casadi.recording.periods import detect_period
 
-LARGEST_GAP = 1.0  # of the length of a stretch: seven tenths of the rows remain
 LEAST_OTHERS = 1e-3  # of what is expected of an effect, in the parts beside one
 SMALLEST_TAIL = 1e-30  # probability of a deviation: the inverse of the distribution is finite
 
@@ -75,8 +74,9 @@ def folds_of(rows: Rows, residual: Sequence[Array], count: int) -> Folds:
     correlated = lasting / (RATE_OVER_CUTOFF * rows.segments[0].cutoff)
     place = places(rows, count)
     whole = sum(float(s.filtered_time[-1] - s.filtered_time[0]) for s in rows.segments)
-    needed = min(float(correlated.max()), LARGEST_GAP * whole / count)
-    gap = min(needed, LARGEST_GAP * whole / (1 + np.count_nonzero(np.diff(place))))
+    needed = min(float(correlated.max()), whole / count)
+    # at most a stretch: seven tenths of the rows remain
+    gap = min(needed, whole / (1 + np.count_nonzero(np.diff(place))))
     held = [place == k for k in range(count)]
     out = [own | (_distance(rows.times, rows.times[own]) < gap) for own in held]
     at = np.concatenate([run.all for run in rows.runs])
