@@ -237,8 +237,9 @@ def late_velocities(segment: Measurement, cutoff: float) -> Array:
     times = filtering.uniform_time(t, rate)
     dq = filtering.lowpass(filtering.smooth_at(t, segment.dq, times), rate, cutoff)
     derived = filtering.sixth_order_difference(filtering.smooth_at(t, segment.q, times), rate)
-    missing = filtering.lowpass(derived, rate, cutoff) - dq
-    ddq = filtering.sixth_order_difference(dq, rate)
+    inner = slice(period := int(rate / cutoff), -period)  # filters that started remain outside
+    missing = (filtering.lowpass(derived, rate, cutoff) - dq)[inner]
+    ddq = filtering.sixth_order_difference(dq, rate)[inner]
     late = time_late(missing, ddq)
     parts = np.array_split((missing - late * ddq) * ddq, PARTS)
     spread = np.sqrt(sum(part.sum(axis=0) ** 2 for part in parts))

@@ -237,6 +237,14 @@ def test_the_time_by_which_a_filtered_velocity_is_late(seconds, counts):
     np.testing.assert_allclose(late_velocities(recording, 5.0), seconds, rtol=0.1)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_filter_that_starts_at_rest_is_late_too(seed):
+    """Low-pass filters carry its first error into the recording."""
+    keep = np.exp(-0.0005 / 0.01)
+    recording, _ = run_with(lambda dq: lfilter([1 - keep], [1, -keep], dq, axis=0), seed=seed)
+    np.testing.assert_allclose(late_velocities(recording, 1.5), 0.01, rtol=0.1)
+
+
 def test_a_late_velocity_is_derived_from_the_positions():
     recording, dq = run_with(filtered(0.02))
     (segment,) = process(recording, Processing(cutoff=5.0))
