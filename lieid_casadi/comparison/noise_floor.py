@@ -29,6 +29,7 @@ from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import JointRows, Rows, unit_columns
 from lieid_casadi.identification.regression.variable_projection import shape_columns
+from lieid_casadi.identification.uncertainty.covariance import square_root
 from lieid_casadi.identification.uncertainty.noise_model import (
     common_effect_columns,
     friction_torque_std,
@@ -237,15 +238,14 @@ def _uncertain_friction(
 
 def _uncertainty(fit: Fit, design: Design, rows: Rows) -> Array:
     """Return the RMS standard deviation of the predicted torque (n,), N·m."""
-    count = len(fit.values)
+    count, root = len(fit.values), square_root(fit.covariance)
     slopes = shape_columns(design, fit.values, fit.shapes, fit.parameters)
     found = []
     for joint, of_shapes in zip(rows.joints, slopes, strict=True):
         own = np.append(joint.columns, count + np.arange(len(fit.shapes)))
-        columns = np.hstack([joint.matrix, of_shapes])
-        variance = np.sum(columns @ fit.covariance[np.ix_(own, own)] * columns, axis=1)
-        found.append(np.sqrt(max(float(np.mean(variance)), 0.0)) if len(variance) else 0.0)
-    return np.nan_to_num(found)
+        variance = np.sum((np.hstack([joint.matrix, of_shapes]) @ root[own]) ** 2, axis=1)
+        found.append(np.sqrt(np.mean(variance)) if len(variance) else 0.0)
+    return np.array(found)
 
 
 def _unexplained(columns: Array, errors: Array, fold: Indices) -> Array:

@@ -38,7 +38,7 @@ from lieid_casadi.diagnosis.steps import (
 from lieid_casadi.errors import unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import center_temperature
-from lieid_casadi.identification.uncertainty.covariance import prior_rows, with_weak_free
+from lieid_casadi.identification.uncertainty.covariance import prior_rows
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
@@ -66,7 +66,7 @@ def diagnose_changed(
         rows,
         options,
         wanted=lambda c: c.reaches_all or bool(raised[c.joint]),
-        prior=prior_rows(with_weak_free(fit.covariance)),
+        prior=prior_rows(fit.covariance),
         noise=noise,
     )
     every, rejected = _changes(found, expected, raised, options.least_misfit * rises, options)

@@ -25,7 +25,7 @@ from lieid_casadi.exporters.simulator_joints import (
 from lieid_casadi.exporters.xml_text import Element, XmlText, attribute
 from lieid_casadi.identification.feasible.certificate import position_range
 from lieid_casadi.identification.fit import Fit
-from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axes
+from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axes, square_root
 from lieid_casadi.messages import joints_text
 from lieid_casadi.robot import Joint, inertia
 from lieid_casadi.robot.description import STANDARD_GRAVITY
@@ -70,11 +70,10 @@ def check_gravity(fit: Fit) -> None:
     columns[:, :, : len(rigid)] = fit.compiled.regressor(q, 0.0 * q, 0.0 * q)[:, :, rigid]
     load = np.sqrt(np.mean((columns @ fit.values) ** 2, axis=0))
     p = len(fit.values)
-    unit, variances, axes = scaled_axes(np.nan_to_num(fit.covariance[:p, :p]))
-    variances = np.maximum(variances, 0.0)
+    covariance = np.nan_to_num(fit.covariance[:p, :p])
+    unit, variances, axes = scaled_axes(covariance)
     hidden = unit[:, None] * axes[:, variances < EXACT * float(variances[-1])]
-    known = unit[:, None] * axes * np.sqrt(variances)
-    std = np.sqrt(np.mean(np.sum((columns @ known) ** 2, axis=2), axis=0))
+    std = np.sqrt(np.mean(np.sum((columns @ square_root(covariance)) ** 2, axis=2), axis=0))
     unseen = np.any(np.abs(columns @ (hidden / np.linalg.norm(hidden, axis=0))) > SEEN, axis=(0, 2))
     loaded = load > LEAST_LOAD * float(load.max())
     doubtful = loaded & (unseen | (std > UNCERTAIN * load))

@@ -50,7 +50,7 @@ from lieid_casadi.identification.regression.least_squares import (
     solve,
 )
 from lieid_casadi.identification.regression.variable_projection import shape_columns
-from lieid_casadi.identification.uncertainty.covariance import EXACT, hac_covariance, scaled_axes
+from lieid_casadi.identification.uncertainty.covariance import hac_covariance, square_root
 from lieid_casadi.payload.estimate import (
     DEPENDS_ON,
     INSIGNIFICANT,
@@ -107,7 +107,7 @@ class LoadedRun:
         drifting = [*[False] * (BODY * n), *(effect.per_recording for effect in effects)]
         self.drifting = np.array(drifting)[list(base.kept)]
         self.values = np.where(self.drifting, 0.0, fit.values)
-        self.root = _root(fit.covariance)
+        self.root = square_root(fit.covariance)
         first = design.segments[0]
         step = float(np.median(np.diff(first.filtered_time)))
         # rows closer than half a period of the cut-off are not independent
@@ -221,13 +221,6 @@ class LoadedRun:
             if len(error):
                 noise[j] = max(float(np.sqrt(np.mean(error**2))) * taken, 1e-12)
         return noise
-
-
-def _root(covariance: Array) -> Array:
-    """Return L (p, k) with C = L·Lᵀ, without directions that are known exactly."""
-    unit, variance, axes = scaled_axes(covariance)
-    kept = variance > EXACT * max(float(variance[-1]), EXACT)
-    return np.asarray(unit[:, None] * axes[:, kept] * np.sqrt(variance[kept]))
 
 
 WEAK = 0.3  # relative standard deviation above which a quantity is reported as not identified

@@ -32,7 +32,6 @@ from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import (
-    WEAK,
     JointRows,
     Rows,
     solve,
@@ -161,20 +160,18 @@ def hac_covariance(
         line.back(joint.instant, correction[:, j] * line.transform(joint.instant, noise[j]))
         for j, joint in enumerate(rows.joints)
     ]
+    axes = square_root(unit_covariance)
     stationary, general = (
-        unit_covariance @ products @ unit_covariance
+        axes @ square_root(axes.T @ products @ axes)
         for products in (
             _filtered_products(line, rows, raised),
             _score_products(line, rows, scores, spectrum.correlation_length),
         )
     )
-    first, second = np.diag(stationary), np.diag(general)
+    first, second = (np.linalg.norm(half, axis=1) for half in (stationary, general))
     ratio = np.divide(second, first, out=np.ones_like(first), where=first > 0.0)
-    growth = np.sqrt(np.maximum(ratio, 1.0))
-    covariance = stationary * np.outer(growth, growth)
-    # rounding can make variances of nearly dependent parameters negative
-    np.fill_diagonal(covariance, np.maximum(np.diag(covariance), 0.0))
-    return np.asarray(covariance)
+    half = stationary * np.maximum(ratio, 1.0)[:, None]
+    return np.asarray(half @ half.T)
 
 
 def residual_correlation_length(rows: Rows, residuals: Sequence[Array]) -> int:
@@ -222,7 +219,9 @@ def _absorption_correction(
     for joint, density in zip(rows.joints, own, strict=True):
         small = joint.matrix.T @ _filtered(line, joint, density)
         middle[np.ix_(joint.columns, joint.columns)] += small
-    covariance = unit_covariance @ middle @ unit_covariance
+    axes = square_root(unit_covariance)
+    half = axes @ square_root(axes.T @ middle @ axes)
+    covariance = half @ half.T
     ratio = np.ones((line.size // 2 + 1, len(rows.joints)))
     for j, (joint, density, square) in enumerate(zip(rows.joints, own, squares, strict=True)):
         if spectrum.variance[j] <= 0.0:
@@ -316,26 +315,20 @@ def with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
     return Rows(joints, count, rows.segments)
 
 
-FREE = 100.0  # standard deviations by which a weak parameter may move in place of one
 EXACT = 1e-12  # variance relative to the largest below which a direction is known exactly
 
 
 def prior_rows(covariance: Array) -> Array:
     """Return rows R (p, p) whose square is the inverse of a covariance, which may be singular."""
-    sizes, axes = np.linalg.eigh(covariance)
-    least = EXACT * max(float(sizes.max(initial=0.0)), 1e-300)
-    return np.asarray((axes / np.sqrt(np.maximum(sizes, least))).T)
+    unit, sizes, axes = scaled_axes(covariance)
+    least = EXACT * max(float(sizes.max(initial=0.0)), EXACT)
+    return np.asarray((axes / np.sqrt(np.maximum(sizes, least))).T / unit)
 
 
-def with_weak_free(covariance: Array) -> Array:
-    """Return a covariance (p, p) in which weak parameters may have any value.
-
-    Errors of a model do not average out along the little that other columns leave of theirs.
-    """
-    variance = np.diag(covariance)
-    weak = variance * np.sum(prior_rows(covariance) ** 2, axis=0) > WEAK**-2
-    along = FREE * covariance[:, weak] / np.sqrt(variance[weak])
-    return np.asarray(covariance + along @ along.T)
+def square_root(covariance: Array) -> Array:
+    """Return H (p, p), C = H·Hᵀ: products with H are accurate where sums alone are known well."""
+    unit, sizes, axes = scaled_axes(np.nan_to_num(covariance))
+    return np.asarray(unit[:, None] * axes * np.sqrt(np.maximum(sizes, 0.0)))
 
 
 def scaled_axes(covariance: Array) -> tuple[Array, Array, Array]:

@@ -28,7 +28,7 @@ from lieid_casadi.identification.feasible.certificate import (
 from lieid_casadi.identification.feasible.dissipation import dissipation_rows
 from lieid_casadi.identification.feasible.problem import ConvexSolver, FeasibleProblem
 from lieid_casadi.identification.regression.least_squares import Factor
-from lieid_casadi.identification.uncertainty.covariance import EXACT, scaled_axes
+from lieid_casadi.identification.uncertainty.covariance import prior_rows, square_root
 from lieid_casadi.robot.inertia import pseudo_inertia
 
 WEIGHT = 1e-3  # of the divergence from the fit's bodies, in squared standard deviations
@@ -92,9 +92,7 @@ class Posterior:
     @cached_property
     def _roots(self) -> tuple[Array, Array]:
         """W (k, p + s) and L (p + s, k): |W·δ|² is δ in standard deviations, C = L·Lᵀ."""
-        unit, variance, axes = scaled_axes(self.covariance)
-        spread = np.sqrt(np.maximum(variance, EXACT * max(float(variance[-1]), EXACT)))
-        return (axes / spread).T / unit, unit[:, None] * axes * np.sqrt(np.maximum(variance, 0.0))
+        return prior_rows(self.covariance), square_root(self.covariance)
 
     @cached_property
     def problem(self) -> FeasibleProblem:
