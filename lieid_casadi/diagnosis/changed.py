@@ -17,6 +17,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import Comparison, compare
+from lieid_casadi.comparison.compare import compared_segments
 from lieid_casadi.diagnosis.candidates import Candidate, reason_against
 from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations, solved, undetermined
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -37,12 +38,11 @@ from lieid_casadi.diagnosis.steps import (
 )
 from lieid_casadi.errors import unique_warnings
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.uncertainty.covariance import prior_rows
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Recording, process
+from lieid_casadi.recording import Recording
 
 
 def diagnose_changed(
@@ -55,13 +55,13 @@ def diagnose_changed(
     """Return what has changed since a fit; see `lieid_casadi.diagnose`."""
     report("compare", 0.0)
     before = compare(fit, recordings)
-    segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
+    segments = compared_segments(fit, recordings)
     report("search for changes", 0.2)
     noise = held_out_noise(fit)
-    expected = np.array([each.spread for each in noise])
+    spread = np.array([each.spread for each in noise])
     rows = Rows.of(fit, segments, model_fixed=True)
-    rises = np.array([each.motion_ratio for each in noise])
-    raised = _misfit(rows, expected, rows.residual) > options.least_misfit * rises
+    most = options.least_misfit * np.array([each.motion_ratio for each in noise])
+    raised = _misfit(rows, spread, rows.residual) > most
     found = search(
         rows,
         options,
@@ -69,39 +69,40 @@ def diagnose_changed(
         prior=prior_rows(fit.covariance),
         noise=noise,
     )
-    every, rejected = _changes(found, expected, raised, options.least_misfit * rises, options)
+    every, rejected = _changes(found, spread, raised, most, options)
     report("describe the changes", 0.8)
     changes = [c for c in every if c.candidate.of_arm]
     differing = [difference_of(found, c.slot, of_model=True) for c in every if c not in changes]
-    after = _moving(found, every, before) / expected
-    rest = _rest(found, every)
-    ratio = np.nan_to_num(_misfit(rows, expected, rest))
-    steps = _steps(found, changes, before, ratio > options.largest_error, options)
+    of_noise, rest = rows.expected_error(spread, 0.0 * fit.covariance), _rest(found, every)
+    ratio = np.nan_to_num(_moving(found, every, before) / of_noise)
+    large = ratio > options.largest_error
+    within = large & ~(_misfit(rows, spread, rest) > options.largest_error)
+    steps = _steps(found, changes, before, large & ~within, options)
     weighted = [r * w for r, w in zip(rest, rows.weights(found.spread), strict=True)]
     beside = replace(found.paths.span, residual=np.concatenate(weighted))
     parts = unexplained_parts(
         ratio,
-        options.largest_error,
+        large,
+        within,
         lambda j: followed_signals(rows, beside, j, found.spread),
         differing,
         rejected,
         [""] * len(ratio),
     )
-    uncertain = (after > options.largest_error) & (ratio <= options.largest_error)
     absorbed, weak = absorbed_and_weak(found)
     report("done", 1.0)
     return Diagnosis(
         mode="changed",
         fit=fit,
         steps=steps,
-        unexplained=parts,
+        unexplained=tuple(part for part in parts if not part.within),
         differing=tuple(differing),
         rejected=tuple(rejected.items()),
         noise_floor=before.noise_floor,
         noise_source=before.noise_source,
         baseline_effects=tuple(fit.model.effects),
         baseline=_errors(before, before.rms_moving),
-        expected=expected,
+        expected=rows.expected_error(spread, fit.covariance),
         tried=sum(c.of_arm for c in found.paths.columns.owners),
         absorbed=absorbed,
         weak=weak,
@@ -109,7 +110,7 @@ def diagnose_changed(
         train=fit.provenance.recordings,
         test=before.recordings,
         limits_reached=("most_steps",) if len(found.slots) >= options.most_steps else (),
-        uncertain=tuple((int(j), float(after[j])) for j in np.flatnonzero(uncertain)),
+        uncertain=tuple(part for part in parts if part.within),
     )
 
 
@@ -141,20 +142,20 @@ class _Change:
 
 
 def _changes(
-    found: Round, expected: Array, raised: Mask, most: Array, options: DiagnosisOptions
+    found: Round, spread: Array, raised: Mask, most: Array, options: DiagnosisOptions
 ) -> tuple[list[_Change], dict[str, str]]:
     """Return the changes that pass, and the reasons against the others.
 
     They are examined together, one is left out, the last of the path first, and the others are
     examined again. A change without which no error is above ``most`` (n,), relative to the
-    expected one, is not needed.
+    noise, is not needed.
     """
     rejected: dict[str, str] = {}
     slots = list(found.slots)
     while True:
         changes = _fitted(found, slots)
         for change in reversed(changes):
-            reason = _reason(found, expected, changes, change, raised, most, options)
+            reason = _reason(found, spread, changes, change, raised, most, options)
             if reason is not None:
                 rejected[change.candidate.label] = reason
                 slots = [slot for slot in slots if slot is not change.slot]
@@ -165,7 +166,7 @@ def _changes(
 
 def _reason(
     found: Round,
-    expected: Array,
+    spread: Array,
     changes: Sequence[_Change],
     change: _Change,
     raised: Mask,
@@ -180,9 +181,9 @@ def _reason(
     if any(contains(c.candidate, candidate) for c in changes[: changes.index(change)]):
         return CONTAINED
     others = _fitted(found, [c.slot for c in changes if c is not change])
-    if not (_misfit(found.rows, expected, _left(found, others)) > most).any():
+    if not (_misfit(found.rows, spread, _left(found, others)) > most).any():
         return "without it the error is as expected of the fit"
-    fall = float(_falls(found, expected, changes, change)[raised].max(initial=-np.inf))
+    fall = float(_falls(found, spread, changes, change)[raised].max(initial=-np.inf))
     if fall < options.worth_of_change:
         return f"where the error has risen, it lowers it by only {100 * max(fall, 0.0):.1f} %"
     if slot.evidence.deviations < options.gain_deviations:
@@ -224,7 +225,7 @@ def _fitted(found: Round, slots: Sequence[Slot]) -> list[_Change]:
     ]
 
 
-def _falls(found: Round, expected: Array, changes: Sequence[_Change], one: _Change) -> Array:
+def _falls(found: Round, spread: Array, changes: Sequence[_Change], one: _Change) -> Array:
     """Return the relative fall (n,) of each joint's error that the torque of a change causes.
 
     Of the model within its uncertainty and with all changes, the error is compared with what it
@@ -234,8 +235,8 @@ def _falls(found: Round, expected: Array, changes: Sequence[_Change], one: _Chan
     rest = _rest(found, changes)
     torque = found.rows.columns.stacked(one.slot.group) @ one.values
     parts = np.split(torque, found.paths.span.ends[1:-1])
-    before = _misfit(found.rows, expected, [r + t for r, t in zip(rest, parts, strict=True)])
-    after = _misfit(found.rows, expected, rest)
+    before = _misfit(found.rows, spread, [r + t for r, t in zip(rest, parts, strict=True)])
+    after = _misfit(found.rows, spread, rest)
     return 1.0 - np.divide(after, before, out=np.ones(len(after)), where=before > 0.0)
 
 
@@ -252,9 +253,9 @@ def _left(found: Round, changes: Sequence[_Change]) -> list[Array]:
     return np.split(left, found.paths.span.ends[1:-1])
 
 
-def _misfit(rows: Rows, expected: Array, errors: Sequence[Array]) -> Array:
-    """Return the RMS of each joint's errors (R_j,) over that expected (n,), also at reversals."""
-    return _rms([e * w for e, w in zip(errors, rows.weights(expected), strict=True)])
+def _misfit(rows: Rows, spread: Array, errors: Sequence[Array]) -> Array:
+    """Return the RMS of each joint's errors (R_j,) over the noise's (n,), also at reversals."""
+    return _rms([e * w for e, w in zip(errors, rows.weights(spread), strict=True)])
 
 
 def _rms(errors: Sequence[Array]) -> Array:

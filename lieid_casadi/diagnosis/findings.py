@@ -211,17 +211,6 @@ def unexplained_sentence(part: Unexplained) -> str:
     return text + "."
 
 
-def uncertain_sentence(errors: Sequence[tuple[int, float]]) -> str:
-    """Return the joints and relative errors of a kept model that does not determine them."""
-    joints, ratios = zip(*errors, strict=True)
-    where = f"joint{'s' * (len(joints) > 1)} {join_words([str(j + 1) for j in joints])}"
-    times = _listed([f"{ratio:.1f}" for ratio in ratios], ratios)
-    return (
-        f"On {where}, the error is {times} times that expected, which the uncertainty of the fit's "
-        "parameters explains; fit recordings of larger motion to find smaller changes."
-    )
-
-
 def location(joints: tuple[int, ...]) -> str:
     """Return ``joint 3``, ``joint 5 from joint 6`` or ``the whole arm`` (joints from 0)."""
     if not joints:

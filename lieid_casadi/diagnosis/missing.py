@@ -45,10 +45,9 @@ from lieid_casadi.errors import unique_warnings
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.fit_warnings import OF_LIMIT, OF_NUMBERS
 from lieid_casadi.identification.identify import Method
-from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import FilteredColumns
-from lieid_casadi.recording import Recording, process
+from lieid_casadi.recording import Recording
 
 Report = Callable[[str, float], None]
 ROUNDS = 2  # of search and fit; the second one adds what the first fit hid
@@ -66,7 +65,7 @@ def diagnose_missing(
     report: Report,
 ) -> Diagnosis:
     """Return the effects that a model lacks, of which ``first`` is the fit before any is added."""
-    segments, _ = center_temperature(process(train, first.processing), first.temperature_mean)
+    segments = compared_segments(first, train)
     known = tuple(FilteredColumns() for _ in segments)
     rows = Rows.of(first, segments, known=known)
     candidates = {c.label: c for c in rows.candidates}
@@ -251,16 +250,24 @@ def _described(
         fit, search.segments, known=search.known, before=rows, with_candidates=False
     )
     baseline, options = errors(first), search.options
-    ratio, where = over_floor(fitted, after)
+    trained, unseen = over_floor(fitted), over_floor(after or fitted)
+    ratio, names = np.maximum(trained, unseen), ("training recordings", "test")
+    where = [names[int(u > t)] if after else "" for t, u in zip(trained, unseen, strict=True)]
     steps = steps_of(final, state.accepted, last_rows, baseline, after, errors, ratio, options)
     gains = {a.placement.label: state.gain_of(a) for a in state.accepted}
     rejected = {label: r for label, r in state.rejected.items() if label not in gains}
     reasons = {label: r.reason for label, r in rejected.items()}
     spread = last_rows.spread()
     span = last_rows.span(spread)
+    large, within = ratio > options.largest_error, np.zeros(len(ratio), dtype=bool)
+    if after is not None and tests is not None and large.any():
+        of_test = Rows.of(fit, tests, with_candidates=False)
+        expected = of_test.expected_error(spread, fit.covariance)
+        within = np.maximum(trained, after.rms_moving / expected) <= options.largest_error
     parts = unexplained_parts(
         ratio,
-        options.largest_error,
+        large,
+        within,
         lambda j: followed_signals(last_rows, span, j, spread),
         state.differing,
         reasons,

@@ -17,7 +17,6 @@ from lieid_casadi.diagnosis.findings import (
     finding,
     findings,
     join_words,
-    uncertain_sentence,
     unexplained_sentence,
 )
 from lieid_casadi.diagnosis.step import (
@@ -65,7 +64,8 @@ class Diagnosis:
     baseline : dict
         As ``errors`` of a step, of the first model.
     expected : (n,) or None
-        Held-out error of a kept model, N·m.
+        Error in motion that a kept model expects of noise, of dry friction at reversals and of its
+        uncertain parameters, N·m.
     tried : int
         Number of candidates.
     absorbed : tuple of str
@@ -78,9 +78,8 @@ class Diagnosis:
         Options whose limit ended the search.
     events : tuple of Event
         Stretches that were left out.
-    uncertain : tuple of (int, float)
-        Joints, from 0, and the error of a kept model over that expected, where the uncertainty of
-        its parameters explains it.
+    uncertain : tuple of Unexplained
+        Large errors of a kept model that the uncertainty of its parameters explains.
     motion : MotionGain or None
         Of arms under commands: errors of the simulated motion of the first and the final fit on
         held-out data.
@@ -108,7 +107,7 @@ class Diagnosis:
     seed: int = 0
     motion: MotionGain | None = None
     undecided: tuple[tuple[str, float], ...] = ()
-    uncertain: tuple[tuple[int, float], ...] = ()
+    uncertain: tuple[Unexplained, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -162,8 +161,7 @@ class Diagnosis:
                 "uncertain; record longer."
             )
         parts += [difference_sentence(each) for each in self.differing]
-        parts += [uncertain_sentence(self.uncertain)] if self.uncertain else []
-        return parts + [unexplained_sentence(part) for part in self.unexplained]
+        return parts + [unexplained_sentence(e) for e in (*self.uncertain, *self.unexplained)]
 
     @property
     def sentence(self) -> str:
@@ -230,7 +228,7 @@ class Diagnosis:
             "the last one is the final fit."
         )
         if self.expected is not None:
-            source, note = "held-out error of the fit", "The model is kept."
+            source, note = "noise, reversals, uncertain parameters", "The model is kept."
         if self.expected is not None or np.any(values < SAME * errors[-1]):
             rows.append([reference, *map(figures, values)])
         else:

@@ -26,6 +26,7 @@ from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.regression.design_matrix import Design, FilteredColumns
 from lieid_casadi.identification.regression.least_squares import Rows as DesignRows
 from lieid_casadi.identification.regression.variable_projection import shape_columns
+from lieid_casadi.identification.uncertainty.covariance import square_root
 from lieid_casadi.identification.uncertainty.noise_model import (
     Runs,
     dry_level,
@@ -134,6 +135,15 @@ class Rows:
         model = [m * w[:, None] for m, w in zip(self.model, weights, strict=True)]
         residual = [r * w for r, w in zip(self.residual, weights, strict=True)]
         return Span.of(model, residual, prior)
+
+    def expected_error(self, spread: Array, covariance: Array) -> Array:
+        """Return the RMS error (n,) of noise, dry friction at reversals and the parameters, N·m."""
+        root, found = square_root(covariance), spread.copy()
+        for j, (model, run) in enumerate(zip(self.model, self.runs, strict=True)):
+            if run.count:
+                parts = np.column_stack([model @ root, run.friction_std])
+                found[j] = np.hypot(spread[j], np.sqrt(np.mean(np.sum(parts**2, axis=1))))
+        return found
 
     @cached_property
     def times(self) -> Array:

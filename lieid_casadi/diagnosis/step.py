@@ -273,7 +273,7 @@ class Unexplained:
     fraction : float
         Of the residual's variance that is not noise.
     ratio : float
-        Error in motion relative to the noise floor, or to the expected error of a kept model.
+        Error in motion relative to the noise floor or, of a kept model, to that of noise.
     depends_on : tuple of str
         Signals that it follows, ``t`` is time; none if they are not known.
     candidates : tuple of (str, str)
@@ -284,6 +284,8 @@ class Unexplained:
         Whether the error is so large; otherwise a part of it changes with time.
     differs : bool
         Whether a part of it differs between the recordings or changes with time.
+    within : bool
+        Whether the uncertainty of the fit's parameters explains it.
     """
 
     joint: int
@@ -294,6 +296,7 @@ class Unexplained:
     recordings: str = ""
     beyond_noise: bool = True
     differs: bool = False
+    within: bool = False
 
     @property
     def relation(self) -> str:
@@ -301,12 +304,13 @@ class Unexplained:
         if not self.beyond_noise:
             return f"{100 * self.fraction:.0f} % of the error's square change with time"
         where = f" on the {self.recordings}" if self.recordings else ""
-        rest = "neither an effect of the library nor a smooth function lowers it on held-out data"
+        text = f"the error in motion{where} is {self.ratio:.2g} times what noise explains"
         if self.differs:
-            rest = "what differs between the recordings, or changes with time, is a part of it"
-        return (
-            f"the error in motion{where} is {self.ratio:.2g} times what noise explains, and {rest}"
-        )
+            return f"{text}; what differs between recordings or changes with time is a part of it"
+        if self.within:
+            return f"{text}, which uncertain parameters explain: fit longer or larger motion"
+        rest = "neither an effect of the library nor a smooth function lowers it on held-out data"
+        return f"{text}, and {rest}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""

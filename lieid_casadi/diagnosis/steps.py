@@ -10,7 +10,7 @@ import numpy as np
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import Comparison
 from lieid_casadi.diagnosis.candidates import Candidate, follows_velocity, is_delay, is_form
-from lieid_casadi.diagnosis.evidence import DEPENDENT, Slot, coefficient_deviations
+from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.rivals import rivals_of
@@ -89,17 +89,10 @@ class Accepted:
         return self.candidate.placement
 
     def coefficient_deviations(self, fit: Fit) -> float:
-        """Return how far its coefficients in a fit are from zero, or NaN where this is unknown.
-
-        So it is without coefficients, and where rounding of a combination that the data do not
-        determine exceeds the variances of the others.
-        """
+        """Return how far its coefficients in a fit are from zero, or NaN without any."""
         own = [k for k, p in enumerate(fit.model.base_columns) if p.belongs_to(self.placement)]
         covariance = fit.covariance[np.ix_(own, own)]
         if not own or not np.isfinite(covariance).all():
-            return float("nan")
-        variances = np.linalg.eigvalsh(covariance)
-        if variances[0] < -DEPENDENT * variances[-1]:
             return float("nan")
         known, tried = self.evidence.independent, self.candidate.scanned
         return coefficient_deviations(fit.values[own], covariance, known, tried)
@@ -321,51 +314,41 @@ def difference_of(found: Round, slot: Slot, *, of_model: bool) -> Difference:
     )
 
 
-def over_floor(fitted: Comparison, tested: Comparison | None) -> tuple[Array, list[str]]:
-    """Return each joint's error in motion over the noise floor (n,), the larger one, and where.
-
-    ``fitted`` and ``tested`` compare a fit with training recordings and test.
-    """
-    ratios = []
-    for each in (fitted, tested or fitted):
-        known = np.isfinite(each.rms_moving) & (np.nan_to_num(each.noise_floor) > 0.0)
-        ratios.append(
-            np.where(known, each.rms_moving / np.where(known, each.noise_floor, 1.0), 0.0)
-        )
-    trained, unseen = ratios
-    names = "training recordings", "test"
-    where = [names[int(u > t)] if tested else "" for t, u in zip(trained, unseen, strict=True)]
-    return np.maximum(trained, unseen), where
+def over_floor(compared: Comparison) -> Array:
+    """Return each joint's error in motion over the noise floor (n,), 0 where one is not known."""
+    ratio, floor = np.zeros_like(compared.rms_moving), compared.noise_floor
+    np.divide(compared.rms_moving, floor, out=ratio, where=floor > 0.0)
+    return np.nan_to_num(ratio)
 
 
 def unexplained_parts(
     ratio: Array,
-    limit: float,
+    large: Mask,
+    within: Mask,
     follows: Callable[[int], tuple[str, ...]],
     differing: Sequence[Difference],
     rejected: Mapping[str, str],
     where: Sequence[str],
     drifting: Collection[int] = (),
 ) -> tuple[Unexplained, ...]:
-    """Return the joints whose error in motion is above a limit, or changes with time.
+    """Return the joints whose error in motion is ``large``, or changes with time.
 
-    ``ratio`` (n,) is the error relative to the noise, ``follows`` gives the signals that the
-    residual of a joint follows, ``differing`` are changes of effects of the model, ``rejected`` has
-    candidates that were selected and not added, and why, ``where`` the recordings by joint, and
-    ``drifting`` the joints with a drift, which the model does not have in a test.
+    ``ratio`` (n,) is the error relative to the noise, ``within`` (n,) whether the uncertainty of
+    the parameters explains it, ``follows`` gives the signals that the residual of a joint follows,
+    ``differing`` are changes of effects of the model, ``rejected`` has candidates that were not
+    added, and why, ``where`` the recordings by joint, and ``drifting`` the joints with a drift.
     """
     changing = {each.joints[0]: each for each in differing if each.depends_on}
-    large = [int(j) for j in np.argsort(-ratio) if ratio[j] > limit]
+    first = [int(j) for j in np.argsort(-ratio) if large[j]]
     found = []
-    for j in dict.fromkeys([*changing, *large]):
+    for j in dict.fromkeys([*changing, *first]):
         here = {k for k in rejected if k.partition(":")[2].partition("<")[0] == f"{j + 1}"}
         own = tuple((k, why) for k, why in rejected.items() if k in here)
-        fraction = float(1.0 - ratio[j] ** -2) if j in large else changing[j].fraction
+        fraction = float(1.0 - ratio[j] ** -2) if large[j] else changing[j].fraction
         signals = changing[j].depends_on if j in changing else follows(j)
         differs = any(each.joints == (j,) for each in differing) or j in drifting
-        found.append(
-            Unexplained(j, fraction, float(ratio[j]), signals, own, where[j], j in large, differs)
-        )
+        kinds = bool(large[j]), differs, bool(within[j])
+        found.append(Unexplained(j, fraction, float(ratio[j]), signals, own, where[j], *kinds))
     return tuple(found)
 
 

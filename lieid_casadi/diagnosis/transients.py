@@ -17,9 +17,10 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.spatial import KDTree
 
 from lieid_casadi.arrays import Array, Mask
+from lieid_casadi.comparison.compare import compared_segments
 from lieid_casadi.effects.torque_delay import delayed_change
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.prediction import center_temperature, torque_along
+from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.uncertainty.noise_model import (
     common_effect_columns,
@@ -27,7 +28,7 @@ from lieid_casadi.identification.uncertainty.noise_model import (
     friction_torque_std,
 )
 from lieid_casadi.messages import joints_text
-from lieid_casadi.recording import Processed, Recording, process
+from lieid_casadi.recording import Processed, Recording
 
 #: Robust standard deviations of a joint's error, beyond friction at rest, from which an error may
 #: be transient, and those at the ends of the stretch; ends are also relative to the peak.
@@ -124,8 +125,7 @@ def unexplained_events(
 
 def _signals(fit: Fit, recordings: Sequence[Recording]) -> tuple[list[ResidualSignals], Array]:
     """Return the errors of a fit along recordings, and the scale of each joint's (n,), N·m."""
-    segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
-    signals = [ResidualSignals.of(fit, segment) for segment in segments]
+    signals = [ResidualSignals.of(fit, s) for s in compared_segments(fit, recordings)]
     return signals, _scale(signals)
 
 

@@ -30,7 +30,7 @@ def plot_trends(arm: ArmHistory, alarms: Sequence[Alarm]) -> Figure:
             names.setdefault(quantity.effect, quantity.name)
     panels = [_coefficient(arm, name) for name in list(names.values())[:MOST_EFFECTS]]
     errors = {q.joint: np.exp(s.values) for q, s in arm.series.items() if q.name == ERROR}
-    panels.append(("error in motion / held-out error of the fit", errors))
+    panels.append(("error in motion / error that the fit expects", errors))
     warm = {q.joint: s.temperature for q, s in arm.series.items() if s.has_temperature}
     if warm:
         panels.append(("mean temperature, °C", warm))
@@ -138,7 +138,7 @@ def arm_table(arms: Sequence[ArmHistory], alarms: Sequence[Alarm]) -> Table:
         ("serial", "robot", "nights", "last night", "error / expected", "joint", "alarms"),
         rows,
         note="Error over expected: of the last night, of the joint where it is largest; expected "
-        "is the held-out error of the fit.",
+        "of noise, of dry friction at reversals and of uncertain parameters.",
     )
 
 

@@ -72,7 +72,7 @@ COMMENTS = {
     "findings.severity": "part of the joint's torque that the effect explains",
     "parameters.std": "from the noise of the fit alone",
     "errors": "of the fit on a night, per joint (from 1), N·m",
-    "errors.expected": "held-out error of the fit",
+    "errors.expected": "error that the fit expects in this motion",
     "errors.temperature": "mean, °C",
     "errors.q_low": "lowest position; rad, or m of a sliding joint",
     "arms.limits": "JSON: effect or parameter and its largest permitted values",

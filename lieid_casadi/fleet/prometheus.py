@@ -31,7 +31,7 @@ GAUGES = {
         "SELECT serial, arg_max(status, date) = 'done' FROM nights GROUP BY 1 ORDER BY 1",
     ),
     "error_ratio": (
-        "Error in motion of the last night over the held-out error of the fit.",
+        "Error in motion of the last night over the error that the fit expects.",
         "SELECT serial, joint, rms_moving / expected AS ratio FROM latest "
         "JOIN errors USING (run_id, serial) WHERE isfinite(ratio) ORDER BY serial, joint",
     ),
