@@ -421,7 +421,8 @@ def other_forms(
     delays = [a for a in accepted if is_delay(a.candidate)]
     for delay in (a for a in delays if a.joint == joint):
         same = [a for a in delays if a.candidate.joints == delay.candidate.joints]
-        rivals = rival_forms(delay, candidates)
+        others = {a.placement.label for a in accepted if a not in same}
+        rivals = (r for r in rival_forms(delay, candidates) if r.placement.label not in others)
         found += [(replace(other, replaced=(delay,)), same) for other in rivals]
     return found
 

@@ -1228,3 +1228,5 @@ def test_a_rival_may_take_the_place_of_all_delays_and_leaves_one_as_a_rival():
     assert [rival.label for rival in form.rivals] == ["torque_delay:2", "time_shift"]
     of_arm = ["torque_lowpass/common", "torque_lowpass/common_second_order", "time_shift"]
     assert forms["time_shift", 0][1] == of_arm  # not twice
+    every = other_forms([*found, accepted_as("presliding:2")], 1, FORMS)
+    assert "presliding:2" not in [form.placement.label for form, _ in every]  # it is there already
