@@ -33,9 +33,9 @@ class DiagnosisOptions:
     #: Vuong, Econometrica 1989.
     rival_deviations: float = 2.0
     #: Error in motion above which a model is not sufficient, relative to the noise floor or, of a
-    #: kept model, to that expected. Simulations: complete models stay below it.
+    #: kept model, to noise and reversals. Simulations: complete models stay below it.
     largest_error: float = 1.5
-    #: Error of a kept model relative to its expected one above which something has changed.
+    #: Error of a kept model relative to noise and reversals above which something has changed.
     #: Simulations.
     least_misfit: float = 1.15
     #: Least relative fall of a joint's error by a change since a fit. Simulations.
