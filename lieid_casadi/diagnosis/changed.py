@@ -38,7 +38,11 @@ from lieid_casadi.diagnosis.steps import (
 )
 from lieid_casadi.errors import unique_warnings
 from lieid_casadi.identification import Fit
-from lieid_casadi.identification.uncertainty.covariance import prior_rows
+from lieid_casadi.identification.uncertainty.covariance import (
+    LEAST_KNOWN,
+    prior_rows,
+    with_weak_free,
+)
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
@@ -66,7 +70,7 @@ def diagnose_changed(
         rows,
         options,
         wanted=lambda c: c.reaches_all or bool(raised[c.joint]),
-        prior=prior_rows(fit.covariance),
+        prior=prior_rows(with_weak_free(fit.covariance), known=LEAST_KNOWN),
         noise=noise,
     )
     every, rejected = _changes(found, spread, raised, most, options)

@@ -23,6 +23,7 @@ from lieid_casadi.diagnosis.path import LEAST_INFORMATION, Paths, Span
 from lieid_casadi.diagnosis.step import Evidence
 
 DEPENDENT = 1e-8  # of a largest eigenvalue
+ROUNDING = 1e-14  # of a largest variance
 SMALLEST = 1e-12  # part of an error below which it counts as zero
 SMALLEST_TAIL = 1e-300  # probability of a deviation: the inverse of the distribution is finite
 #: Expected part of false effects among all that are added, by gain and coefficients together.
@@ -89,8 +90,8 @@ def coefficient_deviations(
     are the largest of those at ``tried`` independent shapes.
     """
     variances, axes = np.linalg.eigh(covariance)
-    # beside a combination that the data do not determine, rounding is as large as small variances
-    certain = np.maximum(variances, DEPENDENT * variances[-1])
+    # beside a combination that the data do not determine
+    certain = np.maximum(variances, ROUNDING * variances[-1])
     square = float(np.mean((axes.T @ values) ** 2 / certain))
     tail = float(fdtrc(len(values), max(independent, 1.0), max(square, 0.0)))
     tail = -float(np.expm1(tried * np.log1p(-min(tail, 1.0 - SMALLEST))))

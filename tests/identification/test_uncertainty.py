@@ -12,6 +12,7 @@ from lieid_casadi.identification.regression.least_squares import stacked as stac
 from lieid_casadi.identification.uncertainty.covariance import (
     hac_covariance,
     prior_rows,
+    with_weak_free,
 )
 from lieid_casadi.identification.uncertainty.noise_model import dry_level, friction_torque_std
 from lieid_casadi.recording import Processing, process
@@ -32,6 +33,18 @@ def true_base(model):
     parts = {"coulomb": FRICTION.coulomb, "viscous": FRICTION.viscous, "offset": FRICTION.offset}
     effects = [parts[c.name.split(".")[0]][c.joint] for c in model.columns]
     return model.base.combination @ np.concatenate([ARM.parameters, effects])
+
+
+def test_a_weak_parameter_is_free_where_a_fit_is_the_prior_of_later_data():
+    """Two columns that differ by 2 %: their sum is known, each of them is not."""
+    columns = np.array([[1.0, 1.0, 0.0], [1.0, 0.98, 0.0], [0.0, 0.0, 1.0]])
+    covariance = np.linalg.inv(columns.T @ columns)
+    known = with_weak_free(covariance)
+    ratio = np.sqrt(np.diag(known) / np.diag(covariance))
+    assert np.all(ratio[:2] > 50.0)
+    assert ratio[2] == pytest.approx(1.0)
+    both = np.array([1.0, 0.99, 0.0])
+    assert both @ known @ both < 3.0 * (both @ covariance @ both)
 
 
 @pytest.mark.slow

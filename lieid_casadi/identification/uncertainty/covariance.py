@@ -32,6 +32,7 @@ from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import (
+    WEAK,
     JointRows,
     Rows,
     solve,
@@ -315,14 +316,27 @@ def with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
     return Rows(joints, count, rows.segments)
 
 
+FREE = 100.0  # standard deviations by which a weak parameter may move in place of one
 EXACT = 1e-12  # variance relative to the largest below which a direction is known exactly
+LEAST_KNOWN = 1e-7  # the same as a prior of later data: errors of a model do not average out
 
 
-def prior_rows(covariance: Array) -> Array:
+def prior_rows(covariance: Array, *, known: float = EXACT) -> Array:
     """Return rows R (p, p) whose square is the inverse of a covariance, which may be singular."""
     unit, sizes, axes = scaled_axes(covariance)
-    least = EXACT * max(float(sizes.max(initial=0.0)), EXACT)
+    least = known * max(float(sizes.max(initial=0.0)), EXACT)
     return np.asarray((axes / np.sqrt(np.maximum(sizes, least))).T / unit)
+
+
+def with_weak_free(covariance: Array) -> Array:
+    """Return a covariance (p, p) in which weak parameters may have any value.
+
+    Errors of a model do not average out along the little that other columns leave of theirs.
+    """
+    variance = np.diag(covariance)
+    weak = variance * np.sum(prior_rows(covariance) ** 2, axis=0) > WEAK**-2
+    along = FREE * covariance[:, weak] / np.sqrt(variance[weak])
+    return np.asarray(covariance + along @ along.T)
 
 
 def square_root(covariance: Array) -> Array:
