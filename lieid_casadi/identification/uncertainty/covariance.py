@@ -322,7 +322,10 @@ LEAST_KNOWN = 1e-7  # the same as a prior of later data: errors of a model do no
 
 
 def prior_rows(covariance: Array, *, known: float = EXACT) -> Array:
-    """Return rows R (p, p) whose square is the inverse of a covariance, which may be singular."""
+    """Return rows R (p, p) whose square is the inverse of a covariance, which may be singular.
+
+    Directions with less than the part ``known`` of the largest variance have that much.
+    """
     unit, sizes, axes = scaled_axes(covariance)
     least = known * max(float(sizes.max(initial=0.0)), EXACT)
     return np.asarray((axes / np.sqrt(np.maximum(sizes, least))).T / unit)
