@@ -50,6 +50,7 @@ from lieid_casadi.identification.regression.design_matrix import FilteredColumns
 from lieid_casadi.recording import Recording
 
 Report = Callable[[str, float], None]
+LIMIT = TorqueSaturation.name
 ROUNDS = 2  # of search and fit; the second one adds what the first fit hid
 HIGHER = Rejection("in a fit with it the held-out error is higher")
 
@@ -84,8 +85,8 @@ def _searched(state: State, rows: Rows, report: Report) -> tuple[State, Round]:
     that the law states in addition looks like effects of the arm.
     """
     options, rounds = state.search.options, 0
-    if any(_is_limit(c) for c in rows.candidates):
-        found = search(rows, options, wanted=_is_limit, with_smooth=False)
+    if any(c.name == LIMIT for c in rows.candidates):
+        found = search(rows, options, wanted=lambda c: c.name == LIMIT, with_smooth=False)
         state = replace(state, unseen=UnseenMotion.of(rows, found.folds))
         state = _with_limits(*_offered(state, found))
         if state.accepted:
@@ -115,8 +116,7 @@ def _searched(state: State, rows: Rows, report: Report) -> tuple[State, Round]:
 
 def _beside(state: State, rows: Rows) -> Rows:
     """Return the rows of a later fit, with what differs between the recordings set apart."""
-    search = state.search
-    rows = Rows.of(state.fit, search.segments, known=search.known, before=rows)
+    rows = Rows.of(state.fit, state.search.segments, known=state.search.known, before=rows)
     for columns in state.apart:
         rows = rows.with_apart(columns)
     return rows
@@ -173,8 +173,7 @@ def _with_more(
         with_smooth=False,
     )
     state, new = _offered(state, found)
-    if late:
-        new = [replace(a, doubt="late_friction") for a in new]
+    new = [replace(a, doubt="late_friction") if late else a for a in new]
     return plausible(state, [*state.accepted, *new]) if new else state
 
 
@@ -182,10 +181,9 @@ def _offered(state: State, found: Round) -> tuple[State, list[Accepted]]:
     """Return the effects of a round that may be added, and the state with what rejects others."""
     new, options = list[Slot](), state.search.options
     candidates = {slot: found.candidate(slot.group) for slot in found.slots}
-    sure = [c for slot, c in candidates.items() if slot.reason(options) is None]
-    sure += [a.candidate for a in state.accepted]
     have = {a.placement.label for a in state.accepted}
     earlier = [a.candidate for a in state.accepted]
+    sure = [*earlier, *(c for slot, c in candidates.items() if slot.reason(options) is None)]
     rejected, refused = dict(state.rejected), set(state.refused)
     for slot, candidate in candidates.items():
         if not candidate.of_arm:
@@ -221,10 +219,6 @@ def _with_set_apart(state: State, found: Round) -> State:
         columns = found.rows.columns.dense(slot.group)
         state = replace(state, differing=(*state.differing, new), apart=(*state.apart, columns))
     return state
-
-
-def _is_limit(candidate: Candidate) -> bool:
-    return candidate.name == TorqueSaturation.name
 
 
 def _described(

@@ -118,29 +118,30 @@ def search(
         known = {c.label: c for c in smooth if wanted(c)}
         rows = rows.with_candidates([*rows.columns.owners, *known.values()])
     rows = _with_changes(rows, wanted, in_course=with_smooth)
-    coarse = True
+    paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)), nothing)
+    coarse, leaving = True, set[int]()
     while True:
-        paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)), nothing)
         own_noise = noise
         if own_noise is None:
-            first = forward(paths, -1, _rules(paths.columns, rows, options))
+            first = forward(paths, -1, _rules(paths.columns, rows, options, leaving=leaving))
             rest = residual_beside(paths, first, rows, scale)
             own_noise = [noise_of(r, run) for r, run in zip(rest, rows.runs, strict=True)]
         dependence = _dependence(paths.columns, own_noise, independent=noise is not None)
-        rules = _rules(paths.columns, rows, options, dependence)
+        rules = _rules(paths.columns, rows, options, dependence, leaving)
         ways = [forward(paths, -1, rules, smooth_first=j) for j in ((), range(len(rows.runs)))]
         finer = _finer_courses(rows, dict.fromkeys(sum(ways, ()))) if coarse else []
         if finer:
             rows, coarse = replace(rows, columns=rows.columns.joined(finer)), False
+            paths = Paths(
+                rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)), nothing
+            )
             continue
         folds, slots = _judged(
             paths, ways, rules, dependence, rows, scale, options, beside_friction
         )
-        leaving = _leaving(rows.columns, slots, options)
-        if not leaving:
+        if not (more := _leaving(paths.columns, slots, options)):
             return Round(rows, scale, folds, paths, slots, rules.penalty)
-        kept = ~np.isin(rows.columns.owner, sorted(leaving))
-        rows = replace(rows, columns=rows.columns.of_groups(np.flatnonzero(kept)))
+        leaving |= more
 
 
 def _judged(
@@ -282,19 +283,21 @@ def _leaving(columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions)
     """Return the candidates whose place in a path others should take.
 
     Those are changes in the course of a recording that are not certain, and with them all that are
-    not in the path: they compete with effects where there is no such change.
+    not in the path: they compete with effects where there is no such change. So do delays with what
+    makes dry friction late, beside which they are judged: where one is not supported, all leave but
+    those that are, and their rivals.
     """
-    pairs = [(slot, columns.candidate(slot.group).course) for slot in slots]
-    changes = {int(columns.owner[slot.group]) for slot, course in pairs if course is not None}
-    certain = {
-        int(columns.owner[slot.group])
-        for slot, course in pairs
-        if course
-        and slot.evidence.gain_certainty >= CERTAINTY[course.kind] * options.name_deviations
-    }
-    if certain == changes:
-        return set()
-    return {k for k, c in enumerate(columns.owners) if c.course is not None} - certain
+    owners = columns.owners
+    found = {int(columns.owner[slot.group]): slot for slot in slots}
+    courses = {k: c.course for k, c in enumerate(owners) if c.course is not None}
+    certainty = {k: s.evidence.gain_certainty / options.name_deviations for k, s in found.items()}
+    weak = {k for k in courses.keys() & found.keys() if certainty[k] < CERTAINTY[courses[k].kind]}
+    leaving = courses.keys() - (found.keys() - weak) if weak else set[int]()
+    late = {int(k) for k in columns.owner[columns.delays]}
+    kept = {owners[k].joints for k in late & found.keys() if found[k].reason(options) is None}
+    if any(owners[k].joints not in kept for k in late & found.keys()):
+        leaving |= {k for k in late if owners[k].joints not in kept}
+    return leaving
 
 
 def _dependence(columns: Columns, noise: Sequence[Noise], *, independent: bool) -> Array:
@@ -315,16 +318,20 @@ def _dependence(columns: Columns, noise: Sequence[Noise], *, independent: bool) 
 
 
 def _rules(
-    columns: Columns, rows: Rows, options: DiagnosisOptions, dependence: Array | None = None
+    columns: Columns,
+    rows: Rows,
+    options: DiagnosisOptions,
+    dependence: Array | None = None,
+    leaving: Collection[int] = (),
 ) -> Rules:
-    """Return what the paths over some columns may contain."""
+    """Return what the paths over some columns may contain: no candidates that are ``leaving``."""
 
     def allowed(group: int, values: Array) -> bool:
         candidate = columns.candidate(group)
         return reason_against(candidate, columns.shapes(group), values, rows.segments) is None
 
     count = np.array([max(run.count, 2) for run in rows.runs], dtype=float) @ columns.reach
-    forms = np.array([is_form(c.effect) for c in columns.owners], dtype=bool)
+    barred = [k in leaving or is_form(c.effect) for k, c in enumerate(columns.owners)]
     more = np.ones(len(columns.size)) if dependence is None else dependence
     independent = np.maximum(count / more, 2.0)
     alike = np.array([_alternatives(rows, c) for c in columns.owners], dtype=float)[columns.owner]
@@ -335,7 +342,7 @@ def _rules(
     cost[changing] = np.maximum(cost[changing], LEAST_CHANGE**2)
     return Rules(
         options.penalty * more * cost,
-        (columns.support > LEAST_SUPPORT) & ~forms[columns.owner],
+        (columns.support > LEAST_SUPPORT) & ~np.array(barred, dtype=bool)[columns.owner],
         np.array([c.name == SMOOTH for c in columns.owners], dtype=bool)[columns.owner],
         allowed,
         options.most_steps,
