@@ -1,7 +1,7 @@
 """The table of real arms: what a diagnosis finds, and the error on recordings that it did not see.
 
     python tests/benchmarks/real_arms.py [--arms NAME…] [--forward] [--json FILE] [--record FILE]
-    python tests/benchmarks/real_arms.py --further [--record FILE] [--best FILE]
+    python tests/benchmarks/real_arms.py --further|--windows [--record FILE] [--best FILE]
 
 It needs the recordings that ``LIEID_RECORDINGS`` names (see tests/real_arms.py; tests of the suite
 read all of them) and prints a Markdown table: RMS errors of samples in motion, N·m, of the plain
@@ -9,10 +9,11 @@ fit, of the diagnosed model, and of the version of this program with the lowest 
 (``real_arms_best.json``; ``--record`` adds this run to such a file, ``--best`` reads another one):
 the geometric mean over the joints counts. One effect more or less moves a row by more than
 versions differ; ``--further`` has other cut-offs and stretches, to compare two versions by their
-mean. Two references are made without a diagnosis: friction effects on every joint at once and,
-with ``--forward``, a selection by the cross-validated error alone, which tries every effect on
-every joint in turn. The processor time of a diagnosis is given in multiples of a fixed loop of
-linear algebra, since machines differ, and of an identification of the same model.
+mean; ``--windows`` has 28 random parts of 12 to 27 s, each tested on other recordings or parts. Two
+references are made without a diagnosis: friction effects on every joint at once and, with
+``--forward``, a selection by the cross-validated error alone, which tries every effect on every
+joint in turn. The processor time of a diagnosis is given in multiples of a fixed loop of linear
+algebra, since machines differ, and of an identification of the same model.
 """
 
 import argparse
@@ -96,6 +97,45 @@ FURTHER = {
     "panda, last": replace(panda("8.4 to 24 s", 15.6), train=("excitation.csv.gz@8.4:",),
                            tests={"0 to 8.4 s": ("excitation.csv.gz@0:8.4",)}),
 }  # fmt: skip
+#: Random parts of the recordings, s. What of the Panda's is outside one tests it if it lasts 3 s.
+PARTS = {
+    "excitation_30s": ((13.7, 26.7), (11.3, 27.3), (5.2, 25.2), (0.9, 27.9)),
+    "excitation_50s": ((2, 15), (13, 29), (12.3, 32.3), (1, 28),
+                       (1.8, 14.8), (34, 50), (19.6, 39.6), (5.4, 32.4)),
+    "excitation_14_harmonics": ((16.1, 29.1), (33.2, 49.2), (27, 47), (19.5, 46.5)),
+}  # fmt: skip
+OF_PANDA = ((4.71, 16.71), (5.92, 17.92), (7.44, 20.44), (0.67, 13.67),
+            (5.56, 19.56), (2.71, 16.71), (7.92, 22.92), (0.58, 15.58))  # fmt: skip
+
+
+def panda_part(start, end):
+    rest = {"before": (0.0, start), "after": (end, 24.0)}
+    tests = {k: (f"excitation.csv.gz@{a:g}:{b:g}",) for k, (a, b) in rest.items() if b - a > 3.0}
+    arm = panda(f"{start:g} to {end:g} s", end)
+    return replace(arm, train=(f"excitation.csv.gz@{start:g}:{end:g}",), tests=tests)
+
+
+def tx40_part(first, block):
+    starts = range(int(MOVING / block))
+    parts = [(k, f"excitation.csv.gz@{k * block:g}:{(k + 1) * block:g}") for k in starts]
+    train = tuple(part for k, part in parts if (k + first) % 3)
+    test = tuple(part for k, part in parts if (k + first) % 3 == 0)
+    said = f"Stäubli TX40, blocks of {block:g} s from {first}"
+    return replace(ARMS["tx40"], name=said, train=train, tests={"blocks": test})
+
+
+WINDOWS = (
+    {
+        f"ur10e, {name} {a:g} to {b:g} s": ur10e(
+            f"{a:g} to {b:g} s of {name}", (f"{name}.csv.gz@{a:g}:{b:g}",),
+            [other for other in ("excitation_30s", *OTHERS) if other != name],
+        )
+        for name, parts in PARTS.items() for a, b in parts
+    }
+    | {f"panda, {a:g} to {b:g} s": panda_part(a, b) for a, b in OF_PANDA}
+    | {f"tx40, {k}, {b:g}": tx40_part(k, b) for k, b in ((1, 0.6), (2, 0.6), (0, 0.9), (1, 0.9))}
+)  # fmt: skip
+EVERY = ARMS | FURTHER | WINDOWS
 
 
 class Task:
@@ -164,7 +204,7 @@ def forward_selection(task, most=8):
 
 def measured(key, *, forward=False):
     """Return one row for each test of an arm."""
-    task = Task((ARMS | FURTHER)[key])
+    task = Task(EVERY[key])
     task.fitted(task.model)  # compiled code is generated once
     plain, plain_seconds = timed(lambda: task.fitted(task.model))
     found, seconds = timed(
@@ -226,7 +266,7 @@ def printed(row, runs):
     if best is not None:
         ratio = f"{whole(row['after'], best):.2f} ({numbers(np.array(row['after']) / best)})"
     return (
-        f"| {(ARMS | FURTHER)[row['arm']].name}, {row['test']} "
+        f"| {EVERY[row['arm']].name}, {row['test']} "
         f"| {', '.join(row['effects']) or 'none'} "
         f"({row['verdict']}) | {numbers(row['before'])} | {numbers(row['after'])} "
         f"| {whole(row['after'], row['before']):.2f} | {numbers(best)} | {ratio} "
@@ -246,6 +286,7 @@ def main():
     )
     parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS))
     parser.add_argument("--further", action="store_true", help="the rows by which versions compare")
+    parser.add_argument("--windows", action="store_true", help="28 random parts, five minutes")
     parser.add_argument("--best", type=Path, default=BEST, metavar="FILE", help="recorded runs")
     parser.add_argument("--forward", action="store_true", help="minutes for each arm")
     parser.add_argument("--json", type=Path, metavar="FILE", help="all rows")
@@ -260,7 +301,7 @@ def main():
         + "| --- " * 10 + "|"
     )  # fmt: skip
     rows, runs = [], json.loads(args.best.read_text("utf-8"))
-    for key in FURTHER if args.further else args.arms:
+    for key in FURTHER if args.further else WINDOWS if args.windows else args.arms:
         own = measured(key, forward=args.forward)
         rows += own
         for row in own:
@@ -268,6 +309,11 @@ def main():
             if row["forward"]:
                 show(f"<!-- forward selection by rms_cv: {numbers(row['forward'])}: "
                      f"{', '.join(row['forward_effects'])} -->")  # fmt: skip
+    for arm in ("ur10e", "panda", "tx40"):
+        own = [whole(r["after"], r["before"]) for r in rows if r["arm"].startswith(arm)]
+        if own:
+            mean = np.exp(np.mean(np.log(own)))
+            show(f"\n{arm}: {len(own)} tests, {mean:.3f} of the plain model on average")
     every = [(r, best) for r in rows if (best := best_version(runs, r)) is not None]
     ratios = [whole(r["after"], best) for r, best in every]
     if ratios:
