@@ -289,10 +289,10 @@ def _leaving(columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions)
     """
     owners = columns.owners
     found = {int(columns.owner[slot.group]): slot for slot in slots}
-    courses = {k: c.course for k, c in enumerate(owners) if c.course is not None}
-    certainty = {k: s.evidence.gain_certainty / options.name_deviations for k, s in found.items()}
-    weak = {k for k in courses.keys() & found.keys() if certainty[k] < CERTAINTY[courses[k].kind]}
-    leaving = courses.keys() - (found.keys() - weak) if weak else set[int]()
+    sure = {kind: part * options.name_deviations for kind, part in CERTAINTY.items()}
+    how = {k: c.course.kind for k, c in enumerate(owners) if c.course is not None}
+    weak = {k for k, s in found.items() if k in how and s.evidence.gain_certainty < sure[how[k]]}
+    leaving = how.keys() - (found.keys() - weak) if weak else set[int]()
     late = {int(k) for k in columns.owner[columns.delays]}
     kept = {owners[k].joints for k in late & found.keys() if found[k].reason(options) is None}
     if any(owners[k].joints not in kept for k in late & found.keys()):
