@@ -24,6 +24,7 @@ RIDGE = 1e-4  # of a column's square, for groups of nearly dependent columns
 EXCHANGED = 6  # length of a path up to which every addition is followed by an exchange
 MARGIN = 0.01  # relative gain by which a group must exceed the one in whose place it comes
 RANK = 1e-9  # of a model's pivot, relative to the largest
+NO_PARTS: Mask = np.zeros((0, 0), dtype=bool)  # are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +106,7 @@ class Paths:
     ``left_out`` (K, R) are the rows that each of K paths does not use.
     """
 
-    def __init__(self, span: Span, columns: Columns, left_out: Mask) -> None:
+    def __init__(self, span: Span, columns: Columns, left_out: Mask = NO_PARTS) -> None:
         self.span, self.columns, self.left_out = span, columns, left_out
         count = columns.count
         self._along = np.zeros((span.basis.shape[1], count))

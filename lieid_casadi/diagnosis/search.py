@@ -103,10 +103,9 @@ def search(
     scale = rows.spread()
     if noise is not None:  # in the unit of the prior: per independent sample
         scale = np.array([np.sqrt(redundancy(each)) * each.spread for each in noise])
-    nothing = np.zeros((0, sum(run.count for run in rows.runs)), dtype=bool)
     rests = list[list[Array]]()
     for _ in range(2):  # on the first grid, then on finer ones around what it chose
-        paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)), nothing)
+        paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)))
         whole = forward(paths, -1, _rules(paths.columns, rows, options))
         rests = [residual_beside(paths, groups, rows, scale) for groups in (whole, ())]
         if noise is None:
@@ -118,7 +117,7 @@ def search(
         known = {c.label: c for c in smooth if wanted(c)}
         rows = rows.with_candidates([*rows.columns.owners, *known.values()])
     rows = _with_changes(rows, wanted, in_course=with_smooth)
-    paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)), nothing)
+    paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)))
     coarse, leaving = True, set[int]()
     while True:
         own_noise = noise
@@ -132,9 +131,7 @@ def search(
         finer = _finer_courses(rows, dict.fromkeys(sum(ways, ()))) if coarse else []
         if finer:
             rows, coarse = replace(rows, columns=rows.columns.joined(finer)), False
-            paths = Paths(
-                rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)), nothing
-            )
+            paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)))
             continue
         folds, slots = _judged(
             paths, ways, rules, dependence, rows, scale, options, beside_friction

@@ -9,11 +9,11 @@ fit, of the diagnosed model, and of the version of this program with the lowest 
 (``real_arms_best.json``; ``--record`` adds this run to such a file, ``--best`` reads another one):
 the geometric mean over the joints counts. One effect more or less moves a row by more than
 versions differ; ``--further`` has other cut-offs and stretches, to compare two versions by their
-mean; ``--windows`` has 28 random parts of 12 to 27 s, each tested on other recordings or parts. Two
-references are made without a diagnosis: friction effects on every joint at once and, with
-``--forward``, a selection by the cross-validated error alone, which tries every effect on every
-joint in turn. The processor time of a diagnosis is given in multiples of a fixed loop of linear
-algebra, since machines differ, and of an identification of the same model.
+mean; ``--windows`` has 24 random parts of 12 to 27 s, each tested on other recordings or parts, and
+four divisions of the TX40. Two references are made without a diagnosis: friction effects on every
+joint at once and, with ``--forward``, a selection by the cross-validated error alone, which tries
+every effect on every joint in turn. The processor time of a diagnosis is given in multiples of a
+fixed loop of linear algebra, since machines differ, and of an identification of the same model.
 """
 
 import argparse
@@ -286,7 +286,9 @@ def main():
     )
     parser.add_argument("--arms", nargs="+", choices=ARMS, default=list(ARMS))
     parser.add_argument("--further", action="store_true", help="the rows by which versions compare")
-    parser.add_argument("--windows", action="store_true", help="28 random parts, five minutes")
+    parser.add_argument(
+        "--windows", action="store_true", help="random parts, six minutes on one core"
+    )
     parser.add_argument("--best", type=Path, default=BEST, metavar="FILE", help="recorded runs")
     parser.add_argument("--forward", action="store_true", help="minutes for each arm")
     parser.add_argument("--json", type=Path, metavar="FILE", help="all rows")
