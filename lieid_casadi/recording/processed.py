@@ -348,19 +348,21 @@ def _motion_at(
     rate = (times.size - 1) / float(times[-1] - times[0])
     band = max(MOTION_BAND * cutoff, LEAST_BAND)
     q = filtering.smooth_at(part.t, part.q, times)
-    derivative = filtering.central_difference(q, rate)
-    dead_zone = _derivative_dead_zone(q, derivative, rate, band)
+    derivative, count = filtering.central_difference(q, rate), spectrum.resolution(part.q)
+    dead_zone = _derivative_dead_zone(count, derivative, rate, band)
     low = rate < FEWEST_SAMPLES * cutoff or (part.command is not None and part.dq is None)
     difference = filtering.sixth_order_difference if low else filtering.central_difference
     velocity, for_acceleration = derivative, difference(q, rate)
     if part.dq is not None:
         measured = filtering.smooth_at(part.t, part.dq, times)
+        quantum = spectrum.resolution(part.dq)
 
         def is_better(factor: float, frequency: float) -> Mask:
             """Mark joints (n,) whose derivative has less noise at a rate than the velocity."""
             step = max(1, int(rate / frequency))
             noise = spectrum.noise_spread(filtering.decimate(measured, rate, step))
-            return np.asarray(factor * _derivative_noise(q, derivative, rate, step) < noise)
+            noise = np.hypot(noise, quantum / np.sqrt(12.0 * step))
+            return np.asarray(factor * _derivative_noise(count, derivative, rate, step) < noise)
 
         derived = is_better(MUCH_LESS_NOISE, RATE_OVER_BAND * band) | late
         velocity = np.where(derived, derivative, measured)
@@ -390,25 +392,23 @@ def _moving(dq: Array, dead_zone: Array, rate: float) -> Mask:
     return np.asarray(~rest)
 
 
-def _derivative_noise(q: Array, derivative: Array, rate: float, step: int) -> Array:
+def _derivative_noise(quantum: Array, derivative: Array, rate: float, step: int) -> Array:
     """Return the noise (n,) of the derivative, with its errors of truncation and rounding."""
     slow = filtering.decimate(derivative, rate, step)
     # the error of a central difference of step h is h²/6 of the third derivative
     bend = np.diff(slow, n=2, axis=0) / (6.0 * step**2)
     missed = 1.4826 * np.median(np.abs(bend), axis=0)
     # rounding jumps as often as the motion crosses a quantum, at most every sample
-    quantum = spectrum.resolution(q)
     speed = np.sqrt(np.mean(slow**2, axis=0))
     share = np.clip(rate / step * quantum / np.maximum(speed, 1e-300), 1.0 / step, 1.0)
-    rounding = quantum / np.sqrt(12.0) * np.sqrt(share) * 0.5 * np.pi * rate / step
+    gain = rate * min(0.5 * np.pi / step, np.sqrt(0.5))  # of a central difference
+    rounding = quantum / np.sqrt(12.0) * np.sqrt(share) * gain
     return np.asarray(np.sqrt(spectrum.noise_spread(slow) ** 2 + missed**2 + rounding**2))
 
 
-def _derivative_dead_zone(q: Array, derivative: Array, rate: float, band: float) -> Array:
+def _derivative_dead_zone(quantum: Array, derivative: Array, rate: float, band: float) -> Array:
     """Return the dead zone (n,) of the low-passed derivative; a quantum is one step a period."""
     step = max(1, int(rate / (RATE_OVER_BAND * band)))
     low = filtering.decimate(derivative, rate, step)
     kept = min(1.0, band / (0.5 * rate / step))
-    return spectrum.noise_dead_zone(
-        low, kept=kept, quantum=spectrum.resolution(q) * min(band, 0.5 * rate)
-    )
+    return spectrum.noise_dead_zone(low, kept=kept, quantum=quantum * min(band, 0.5 * rate))

@@ -20,9 +20,9 @@ from lieid_casadi.recording.repairs import without_repeats
 
 #: Least and most cut-off over the band of the motion.
 LEAST_BANDS, MOST_BANDS = 6.0, 25.0
-#: Least cut-off over that band if torque is that of control laws. Its only noise is that of
-#: positions, which accelerations multiply: least squares then make inertia smaller by this part.
-BANDS_OF_LAWS, NOISE_OF_LAWS = 3.0, 1e-3
+#: Least cut-off over that band if accelerations are noise, by which least squares make inertia
+#: smaller: where torque is that of control laws, with no noise of its own, by this part.
+LEAST_ACCURATE, NOISE_OF_LAWS = 2.0, 1e-3
 #: Rate of the torque from which the cut-off is chosen, Hz: arms do not move at higher frequencies.
 TORQUE_RATE = 400.0
 #: Frequency, Hz, above which velocities are noise, as of a coarse encoder at a high rate.
@@ -45,11 +45,10 @@ def choose_cutoff(recording: Recording) -> float:
 
     Each torque is fitted by gravity-like (sines and cosines of all joints), inertia-like and
     friction-like columns. The band ends where the spectrum of the fitted torque falls below that of
-    the residual (median over the joints), or where noise of accelerations, by which least squares
-    make inertia smaller, is half of any joint's residual. At least six (without torque: just six)
-    and at most 25 times the band of the motion (:func:`motion_band`), at most a quarter of the
-    rate. With torque of laws at most the frequency up to which the noise of positions is a
-    thousandth of each acceleration's power, or three times that band. Two digits; 5 Hz at rest.
+    the residual (median over the joints), at least six (without torque: just six) and at most 25
+    times the band of the motion (:func:`motion_band`). Accelerations are noise where this is half
+    of any joint's residual, or with torque of laws above a thousandth of their power: the cut-off
+    is at most there, or twice that band, and a quarter of the rate. Two digits; 5 Hz at rest.
     """
     longest = max(recording.segments(), key=lambda segment: segment.duration)
     longest, _ = without_repeats(longest)
@@ -58,11 +57,11 @@ def choose_cutoff(recording: Recording) -> float:
     band = motion_band(longest)
     if band is None:
         return _two_digits(min(5.0, highest), highest)
-    cutoff, explained = LEAST_BANDS * band, _explained_band(longest)
-    if explained is not None:
-        cutoff = float(np.clip(explained, cutoff, MOST_BANDS * band))
+    explained, accurate = _explained_bands(longest) or (LEAST_BANDS * band, np.inf)
+    cutoff = float(np.clip(explained, LEAST_BANDS * band, MOST_BANDS * band))
     if longest.drives is not None and is_torque_of_laws(longest, longest.drives):
-        cutoff = min(cutoff, max(_accurate_band(longest, band), BANDS_OF_LAWS * band))
+        accurate = min(accurate, _accurate_band(longest, band))
+    cutoff = min(cutoff, max(accurate, LEAST_ACCURATE * band))
     return _two_digits(float(np.clip(cutoff, min(0.5, highest), highest)), highest)
 
 
@@ -77,7 +76,7 @@ def _accurate_band(recording: Recording, band: float) -> float:
     """
     rate, moving = recording.rate, np.ptp(recording.q, axis=0) > ENOUGH_MOTION
     q = smooth_at(recording.t, recording.q[:, moving], uniform_time(recording.t, rate))
-    speed = lowpass(central_difference(q, rate), rate, min(BANDS_OF_LAWS * band, 0.4 * rate))
+    speed = lowpass(central_difference(q, rate), rate, min(LEAST_ACCURATE * band, 0.4 * rate))
     power = np.mean(central_difference(speed, rate) ** 2, axis=0)
     whole = _density(recording.q[:, moving], q, rate) * (2.0 * np.pi) ** 4 / 5.0
     return float(np.min((NOISE_OF_LAWS * power / np.maximum(whole, 1e-300)) ** 0.2, initial=np.inf))
@@ -88,8 +87,8 @@ def _density(recorded: Array, x: Array, rate: float) -> Array:
     return 2.0 / rate * np.maximum(noise_spread(x) ** 2, resolution(recorded) ** 2 / 12.0)
 
 
-def _explained_band(recording: Recording) -> float | None:
-    """Return the frequency above which noise dominates the torque."""
+def _explained_bands(recording: Recording) -> tuple[float, float] | None:
+    """Return the frequencies above which noise dominates the torque, and that of accelerations."""
     torque = recording.tau if recording.tau is not None else recording.current
     moving = np.ptp(recording.q, axis=0) > ENOUGH_MOTION
     t, rate = recording.t, recording.rate
@@ -105,7 +104,7 @@ def _explained_band(recording: Recording) -> float | None:
         dq = smooth_at(t, recording.dq[:, moving], grid)
         noise[1], dq = _density(recording.dq[:, moving], dq, rate), decimate(dq, rate, step)
     dominated, accelerated = _noise_frequencies(q, dq, tau, rate / step, noise).T
-    return float(min(np.median(dominated), accelerated.min()))
+    return float(np.median(dominated)), float(accelerated.min())
 
 
 def _noise_frequencies(q: Array, dq: Array, tau: Array, rate: float, noise: Array) -> Array:
@@ -196,14 +195,14 @@ def noise_spread(x: Array) -> Array:
     return np.asarray(spread / np.sqrt(70.0))
 
 
-def resolution(values: Array, *, equal: float = 0.0) -> Array:
-    """Return the smallest step (n,) between values that differ by more than ``equal`` ranges."""
+def resolution(values: Array) -> Array:
+    """Return the smallest step (n,) between values that are not equal but for rounding."""
     steps = [np.diff(np.unique(column)) for column in values.T]
-    least = [own[own > equal * own.sum()].min(initial=np.inf) for own in steps]
+    least = [own[own > EQUAL * own.sum()].min(initial=np.inf) for own in steps]
     return np.where(np.isfinite(least), least, 0.0)
 
 
 def rounded_as(recorded: Array, values: Array) -> Array:
     """Return values (N, n) rounded by the quantum of what was recorded, half a step off."""
-    step = np.maximum(resolution(recorded, equal=EQUAL), 1e-15)
+    step = np.maximum(resolution(recorded), 1e-15)
     return np.asarray((np.floor(values / step) + 0.5) * step)

@@ -30,18 +30,16 @@ def swept(seed, **sensors):
     return plant.measure_along(ARM, t, q, dq, ddq, sensors=measured, seed=seed)
 
 
-RUNS = [(seed, counts) for seed in range(1, 7) for counts in (0.0, 2.0**14)]
-KNOWN = {  # one of 40 runs (seeds 1 to 20), as before; it was another one
-    (5, 2.0**14): "accelerations at three short reversals look like contact, and the rest of their "
-    "errors like a function of angle and load"
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("seed", "counts"),
-    [pytest.param(*run, marks=pytest.mark.xfail(reason=KNOWN[run])) if run in KNOWN else run
-     for run in RUNS],
-)  # fmt: skip
+@pytest.mark.parametrize("seed", range(1, 7))
+@pytest.mark.parametrize("counts", [0.0, 2.0**14])
 def test_nothing_is_found_at_a_low_rate(seed, counts):
     """Too small accelerations resemble elastic joints; rounded ones a function of themselves."""
     assert not lieid.diagnose(MODEL, swept(seed, counts_per_turn=counts)).steps
+
+
+@pytest.mark.parametrize("seed", range(1, 7))
+def test_rounded_velocities_leave_inertia_right(seed):
+    """Recorded differences of counts err slowly, too: they look smooth, and are not used."""
+    fit, exact = lieid.identify(MODEL, swept(seed, counts_per_turn=2.0**14)), swept(seed)
+    error = lieid.compare(fit, exact).rms / np.std(exact.tau, axis=0)
+    assert np.all(error < 0.03), error  # 0.02 to 0.13 with them, or with a cut-off of 17 to 20 Hz
