@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.diagnosis.events import follows_commands, moves_enough
 from lieid_casadi.diagnosis.incremental import incremental
 from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
@@ -181,19 +181,20 @@ def joints_of(placement: Placement) -> tuple[int, ...]:
 def list_candidates(
     model: Model,
     segments: Sequence[Processed],
+    usable_joints: Mask,
     scan: Callable[[Effect, int], tuple[Array, float]],
     *,
     model_fixed: bool = False,
 ) -> tuple[Candidate, ...]:
     """Return the candidates for which the recordings have motion and signals.
 
-    ``scan`` gives the grid (G, 1) of a shape parameter that is scanned, of an effect and a joint,
-    and of how many values it is a choice. If the model is fixed, effects of the model are
-    candidates too, as changes.
+    ``usable_joints`` (n,) have rows, which a joint that moves for instants has not. ``scan`` gives
+    the grid (G, 1) of a shape parameter that is scanned, of an effect and a joint, and of how many
+    values it is a choice. If the model is fixed, its effects are candidates too, as changes.
     """
     commanded = follows_commands(model.robot, [s.recording for s in segments])
     have = set() if model_fixed else {p.label for p in model.placements}
-    moves = moves_enough(model.robot, segments)
+    moves = usable_joints & moves_enough(model.robot, segments)
     found: list[Candidate] = []
     if not moves.any():
         return ()

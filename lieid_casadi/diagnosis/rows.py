@@ -101,7 +101,8 @@ class Rows:
 
         wanted: tuple[Candidate, ...] = ()
         if with_candidates:
-            wanted = list_candidates(fit.model, segments, scan, model_fixed=model_fixed)
+            usable = np.array([run.count > 0 for run in runs])
+            wanted = list_candidates(fit.model, segments, usable, scan, model_fixed=model_fixed)
         none, made = evaluate((), signals, runs, store), tuple(segments)
         return cls(fit, made, runs, model, torque, residual, signals, wanted, none, store)
 

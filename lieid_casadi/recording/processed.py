@@ -401,8 +401,7 @@ def _derivative_noise(quantum: Array, derivative: Array, rate: float, step: int)
     # rounding jumps as often as the motion crosses a quantum, at most every sample
     speed = np.sqrt(np.mean(slow**2, axis=0))
     share = np.clip(rate / step * quantum / np.maximum(speed, 1e-300), 1.0 / step, 1.0)
-    gain = rate * min(0.5 * np.pi / step, np.sqrt(0.5))  # of a central difference
-    rounding = quantum / np.sqrt(12.0) * np.sqrt(share) * gain
+    rounding = quantum * np.sqrt(share / 12.0) * rate * min(0.5 * np.pi / step, np.sqrt(0.5))
     return np.asarray(np.sqrt(spectrum.noise_spread(slow) ** 2 + missed**2 + rounding**2))
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from plant.recordings import recorded
+from scipy.ndimage import gaussian_filter1d
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
@@ -59,3 +60,46 @@ def test_a_test_on_the_training_recording_confirms_nothing():
     found = lieid.diagnose(MODEL, run, replace(run, name="copy.csv"))
     assert [(step.label, step.confirmed) for step in found.steps] == [("stribeck:1", None)]
     assert found.summary.startswith("On the motion of the training the error")
+
+
+def one_after_the_other(arm, seed):
+    """Measure an arm whose joints move alone, each for four seconds, and exactly rest."""
+    random, n = np.random.default_rng(seed), arm.robot.n
+    t = np.arange(0.0, 4.0 * n, 0.002)
+    q = np.zeros((len(t), n)) + 0.5 * (
+        arm.robot.limit("position_lower") + arm.robot.limit("position_upper")
+    )
+    for joint in range(n):
+        own = t[:2000]
+        rate = random.uniform(0.5, 2.0)
+        bend = np.sin(np.pi * own / 4.0) ** 3 * np.sin(2.0 * np.pi * rate * own)
+        q[2000 * joint : 2000 * (joint + 1), joint] += random.uniform(0.2, 0.5) * bend
+    dq = np.gradient(q, 0.002, axis=0)
+    sensors = plant.Sensors(rate=250.0, torque_noise=0.1)
+    motion = q, dq, np.gradient(dq, 0.002, axis=0)
+    return plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed)
+
+
+def test_joints_that_move_one_after_the_other_leave_no_parameter_without_bound():
+    """Tails of filters excite the links of resting joints, by a millionth: kilonewton metres."""
+    robot = lieid.robots.panda()
+    arm = plant.demo_arm(robot, hidden=None)
+    fit = lieid.identify(lieid.Model(robot, "coulomb,viscous,offset"), one_after_the_other(arm, 1))
+    other = one_after_the_other(arm, 2)
+    assert np.all(lieid.compare(fit, other).rms < 0.1 * np.abs(other.tau).max())
+    assert np.abs(fit.parameters).max() < 50.0  # 5 are the arm's
+
+
+def test_a_joint_that_moves_for_an_instant_is_no_candidate():
+    """No filtered row of it is free of rest, so that there is nothing to scan a ripple with."""
+    robot = lieid.robots.two_link()
+    t = np.arange(0.0, 20.0, 0.002)
+    step = gaussian_filter1d(0.1 * (t > 10.0), 10)
+    q = np.column_stack([np.sin(1.3 * t) + 0.3 * np.sin(3.1 * t), step])
+    dq = np.gradient(q, 0.002, axis=0)
+    recording = plant.measure_along(
+        plant.demo_arm(robot, hidden=None), t, q, dq, np.gradient(dq, 0.002, axis=0),
+        sensors=plant.Sensors(rate=200.0, torque_noise=0.3), seed=1,
+    )  # fmt: skip
+    model, slow = lieid.Model(robot, "coulomb,viscous,offset"), lieid.Processing(cutoff=3.0)
+    assert not lieid.diagnose(model, recording, processing=slow).steps

@@ -469,7 +469,8 @@ def with_priors(factor: Factor, design: Design) -> Factor:
     """Return a factor of rows in units of the noise, with those of what is known before any data.
 
     A prior counts as one independent row; filtered rows that depend on each other count as more
-    than they are, and the prior by the same factor.
+    than they are, and the prior by the same factor. Moments of links are what gravity turns into
+    the largest torque, or less, and inertia is as large: single joints in motion show few of them.
     """
     model, first = design.model, design.segments[0]
     laws = model.robot.drives or (None,) * model.n
@@ -477,10 +478,10 @@ def with_priors(factor: Factor, design: Design) -> Factor:
     own = [(p, c) for p in model.placements for c in p.effect.coefficients]
     rows = []
     for k, column in enumerate(model.base.kept - 10 * model.n):
-        if column < 0 or own[column][1].prior is None:
-            continue
-        joint = own[column][0].joint
-        known = own[column][1].prior(first.recording.rate, laws[joint], float(torque[joint]))
+        known: tuple[float, float] | None = 0.0, max(float(torque.max()) / 9.81, 1e-6)
+        if column >= 0:
+            joint, prior = own[column][0].joint, own[column][1].prior
+            known = prior and prior(first.recording.rate, laws[joint], float(torque[joint]))
         if known is not None:
             mean, spread = known
             row = np.zeros(factor.r.shape[1])

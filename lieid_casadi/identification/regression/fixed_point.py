@@ -127,9 +127,10 @@ def _state(
     """Return the linear fit at given shapes and load; weights are iterated from a noise (n,)."""
     rows = design.linearized(shapes, links)
     weighting = estimator(rows, noise)
+    solution = solve(weighting.factor)
     if estimator is not ols:  # whose rows are not in units of the noise
         weighting = replace(weighting, factor=with_priors(weighting.factor, design))
-    solution = solve(weighting.factor)
+        solution = replace(solve(weighting.factor), unexcited=solution.unexcited)
     parameters = design.model.base.lift(solution.values, nominal_parameters(design.model))
     return FitState(shapes, rows, weighting, solution, parameters)
 
