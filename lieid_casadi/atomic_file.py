@@ -10,7 +10,7 @@ import secrets
 import shutil
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -26,6 +26,23 @@ def require_regular(path: str | Path) -> None:
     if not stat.S_ISREG(os.stat(path).st_mode):
         folder = "is a folder" if os.path.isdir(path) else "is a pipe or a device"
         raise OSError(errno.EINVAL, f"{folder}; expected a regular file")
+
+
+def read_limited(
+    path: str | Path, largest: int, error: Callable[[str], Exception], expected: str
+) -> bytes:
+    """Return the content of a regular file; ``error`` of one that is missing or too large."""
+    try:
+        require_regular(path)
+        with open(path, "rb") as file:
+            data = file.read(largest + 1)
+    except FileNotFoundError:
+        raise error(f"{path}: no such file; expected {expected}") from None
+    except OSError as problem:
+        raise error(f"{path}: cannot be read: {problem.strerror}") from None
+    if len(data) > largest:
+        raise error(f"{path}: larger than {largest >> 20} MB; expected {expected}")
+    return data
 
 
 @contextlib.contextmanager

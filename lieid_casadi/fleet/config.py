@@ -15,7 +15,7 @@ import yaml
 from msgspec import Meta, Struct
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.atomic_file import require_regular
+from lieid_casadi.atomic_file import read_limited
 from lieid_casadi.errors import FleetError, RobotError
 from lieid_casadi.fleet.recordings import is_local
 from lieid_casadi.robot import yaml_text
@@ -24,6 +24,7 @@ from lieid_casadi.robot.inertia import link_parameters, pose
 from lieid_casadi.robot.yaml_file import read_inertia
 
 T = TypeVar("T")
+LARGEST = 16 << 20  # bytes
 
 
 @dataclass(frozen=True)
@@ -159,11 +160,8 @@ def read_fleet(path: str | Path) -> Fleet:
     """Read a fleet file; relative paths in it refer to its folder."""
     file = Path(path)
     try:
-        require_regular(file)
-        text = file.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise FleetError(f"{path}: no such file; expected a fleet file (YAML)") from None
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_limited(file, LARGEST, FleetError, "a fleet file (YAML)").decode("utf-8")
+    except UnicodeDecodeError as error:
         raise FleetError(f"{path}: cannot be read as UTF-8 text ({error})") from None
     try:
         data = yaml_text.load(text, str(path))

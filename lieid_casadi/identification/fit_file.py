@@ -20,7 +20,7 @@ from msgspec import Meta, Struct
 
 import lieid_casadi.errors as errors
 from lieid_casadi.arrays import Array
-from lieid_casadi.atomic_file import require_regular
+from lieid_casadi.atomic_file import read_limited
 from lieid_casadi.errors import EffectError, FitFileError, LieidError, LieidWarning, warning_list
 from lieid_casadi.identification.feasible.certificate import Certificate
 from lieid_casadi.identification.recording_checks import Provenance
@@ -331,7 +331,7 @@ class Content(Struct, forbid_unknown_fields=True):
 
 def read_content(path: Path) -> Content:
     """Return the content of a fit file, migrated to the present schema."""
-    data = _bytes(path)
+    data = read_limited(path, LARGEST_FILE, FitFileError, "the output of lieid identify -o")
     try:
         raw = msgspec.json.decode(data)
     except RecursionError:
@@ -349,22 +349,6 @@ def read_content(path: Path) -> Content:
         return msgspec.convert(_migrated(raw, path), Content)
     except msgspec.ValidationError as error:
         raise FitFileError(f"{path}: not a usable fit: {reason_of(error)}; fit again") from None
-
-
-def _bytes(path: Path) -> bytes:
-    try:
-        require_regular(path)
-        with path.open("rb") as file:
-            data = file.read(LARGEST_FILE + 1)
-    except FileNotFoundError:
-        raise FitFileError(f"{path}: no such file") from None
-    except OSError as error:
-        raise FitFileError(f"{path}: cannot be read: {error.strerror}") from None
-    if len(data) > LARGEST_FILE:
-        raise FitFileError(
-            f"{path}: larger than {LARGEST_FILE >> 20} MB; expected the output of lieid identify -o"
-        )
-    return data
 
 
 def _migrated(raw: dict[str, Any], path: Path) -> dict[str, Any]:

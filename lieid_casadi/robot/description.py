@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.atomic_file import require_regular
+from lieid_casadi.atomic_file import read_limited
 from lieid_casadi.errors import LieidWarning, RobotError
 from lieid_casadi.robot.drive import Drive
 
@@ -117,23 +117,13 @@ class RobotDescription:
 
 #: Names of the bundled robots.
 BUNDLED = ("panda", "panda_luo2024", "so101", "two_link")
-LARGEST = 16_000_000  # bytes; descriptions with every mesh's name take well below one million
+LARGEST = 16 << 20  # bytes; descriptions with every mesh's name take well below one million
 
 
 def read_text(path: str | Path) -> str:
     """Return the text of a file."""
     try:
-        require_regular(path)
-        with open(path, "rb") as file:
-            data = file.read(LARGEST + 1)
-    except FileNotFoundError:
-        raise RobotError(f"{path}: no such file") from None
-    except OSError as error:
-        raise RobotError(f"{path}: cannot be read: {error.strerror}") from None
-    if len(data) > LARGEST:
-        raise RobotError(f"{path}: larger than {LARGEST // 1_000_000} MB; expected a description")
-    try:
-        return data.decode("utf-8")
+        return read_limited(path, LARGEST, RobotError, "a description").decode("utf-8")
     except UnicodeDecodeError:
         raise RobotError(f"{path}: not a text file (expected UTF-8)") from None
 
