@@ -11,8 +11,8 @@ motion (shifted surrogates; Theiler et al., Physica D 1992). Nor is an error noi
 slow functions of time, or dry friction that changes so, far more than noise with the spectrum of
 the rest would. Positions do not show to a sample when dry friction reverses: the floor contains
 what the error has beside reversals alone, as far as friction is uncertain there. On recordings that
-the fit did not use it contains the error of its uncertain parameters. It never exceeds the error
-itself.
+the fit did not use it contains the error of its uncertain parameters, up to a multiple of the rest:
+with more, training data are missing. It never exceeds the error itself.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import Design
-from lieid_casadi.identification.regression.least_squares import JointRows, Rows, unit_columns
+from lieid_casadi.identification.regression.least_squares import JointRows, Rows, independent_axes
 from lieid_casadi.identification.regression.variable_projection import shape_columns
 from lieid_casadi.identification.uncertainty.covariance import square_root
 from lieid_casadi.identification.uncertainty.noise_model import (
@@ -49,6 +49,7 @@ DEPENDENCE = 1e-5  # of a largest singular value
 LEAST_LEFT = 0.1  # of a band of frequencies: with less its noise is not known
 BAND = 9  # frequencies
 SHIFTS = 15  # of the error against the motion
+MOST_UNCERTAIN = 3.0  # error of uncertain parameters in a floor, relative to the rest of it
 WAVES, FASTEST = 5, 0.2  # half periods of slow functions of time in a segment; Hz
 #: Square of an error in slow functions of time, relative to the variance along one of them of noise
 #: with the spectrum of the rest, from which it is not noise. It is large because 15 s show badly
@@ -90,7 +91,8 @@ def noise_floor(
         # the covariance is that of the fit's residual, which contains a missing effect as well
         size = np.minimum(floor / np.maximum(fit.noise, 1e-300), 1.0)
         part = np.average(unseen, weights=lengths)
-        floor = np.hypot(floor, np.sqrt(part) * size * _uncertainty(fit, design, rows))
+        uncertain = np.sqrt(part) * size * _uncertainty(fit, design, rows)
+        floor = np.hypot(floor, np.minimum(uncertain, MOST_UNCERTAIN * floor))
     floor = np.where(np.isfinite(error), np.minimum(floor, error), np.nan)
     return floor, source if np.isfinite(floor).any() else "none"
 
@@ -136,7 +138,7 @@ def _noise_square(columns: Sequence[Array], residual: Array, fold: Indices) -> f
 
 def _refitted(matrix: Array, residual: Array) -> Array:
     """Return a residual (R,) outside the span of a model, as large as white noise was inside."""
-    basis = _basis(matrix)
+    basis = independent_axes(matrix, tolerance=DEPENDENCE)[0]
     left = 1.0 - basis.shape[1] / (BANDWIDTH * max(len(residual), 1))
     if left < LEAST_LEFT:
         return residual
@@ -176,10 +178,10 @@ def _slow_part(
     columns = np.hstack(slow_functions(time[run.all], segment_of[run.all]))
     model = np.zeros((count, joint.matrix.shape[1]))
     model[joint.instant] = joint.matrix
-    basis, found = _basis(model[run.all]), 0.0
+    basis, found = independent_axes(model[run.all], tolerance=DEPENDENCE)[0], 0.0
     target -= basis @ (basis.T @ target)  # on unseen recordings it contains errors of parameters
     for own in (columns, columns * direction[run.all]):
-        axes = _basis(own - basis @ (basis.T @ own))
+        axes = independent_axes(own - basis @ (basis.T @ own), tolerance=DEPENDENCE)[0]
         along = axes.T @ target
         rest = target - axes @ along
         if not 0 < FEWEST_ROWS * axes.shape[1] < len(target):
@@ -204,12 +206,6 @@ def slow_functions(time: Array, segment_of: Indices) -> list[Array]:
         found.append(np.zeros((len(time), 2 * len(waves))))
         found[-1][here] = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(place), -1)
     return found
-
-
-def _basis(columns: Array) -> Array:
-    """Return an orthonormal basis (R, r) of the span of columns (R, k)."""
-    u, sizes, _ = np.linalg.svd(unit_columns(columns)[0], full_matrices=False)
-    return np.asarray(u[:, sizes > DEPENDENCE * sizes.max(initial=0.0)])
 
 
 def _uncertain_friction(
@@ -272,7 +268,7 @@ def _beside(columns: Array, errors: Array) -> Array:
     Least squares take a part of the noise from each band of frequencies: that which the columns'
     span has of it.
     """
-    axes = _basis(columns)
+    axes = independent_axes(columns, tolerance=DEPENDENCE)[0]
     rest = errors - axes @ (axes.T @ errors)
     left = 1.0 - _in_bands(axes).sum(axis=1)
     powers = _in_bands(rest) / np.maximum(left, LEAST_LEFT)[:, None]

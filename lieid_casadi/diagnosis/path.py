@@ -15,6 +15,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.diagnosis.columns import Columns
+from lieid_casadi.identification.regression.least_squares import RANK_TOLERANCE, independent_axes
 
 #: Part of the information on a direction of the model that the rows of a path must contain. With
 #: less the direction keeps its value of the whole fit.
@@ -23,7 +24,6 @@ LEAST_OWN_PART = 0.03  # of a column outside the span of model and path: with le
 RIDGE = 1e-4  # of a column's square, for groups of nearly dependent columns
 EXCHANGED = 6  # length of a path up to which every addition is followed by an exchange
 MARGIN = 0.01  # relative gain by which a group must exceed the one in whose place it comes
-RANK = 1e-9  # of a model's pivot, relative to the largest
 NO_PARTS: Mask = np.zeros((0, 0), dtype=bool)  # are left out
 
 
@@ -50,9 +50,7 @@ class Span:
         matrix, r = np.concatenate(model), np.concatenate(residual)
         if prior is not None:
             matrix, r = np.concatenate([matrix, prior]), np.append(r, np.zeros(len(prior)))
-        size = np.linalg.norm(matrix, axis=0)
-        u, sizes, _ = np.linalg.svd(matrix / np.where(size > 0.0, size, 1.0), full_matrices=False)
-        q = u[:, sizes > RANK * sizes.max(initial=0.0)]
+        q = independent_axes(matrix)[0]
         r = r - q @ (q.T @ r)
         ends = np.concatenate([[0], np.cumsum([len(own) for own in residual])]).astype(np.intp)
         return cls(q, r, ends)
@@ -266,7 +264,7 @@ class PathState:
         own = self.paths.columns.of_group(group)
         crossed = self.paths.cross(group, self.part) - self.along[:, own].T @ self.along
         sizes, axes = np.linalg.eigh(crossed[:, own])
-        seen = sizes > RANK * max(float(sizes.max(initial=0.0)), 1e-300)
+        seen = sizes > RANK_TOLERANCE * max(float(sizes.max(initial=0.0)), 1e-300)
         roots = axes[:, seen] / np.sqrt(sizes[seen])
         new, residual = roots.T @ crossed, roots.T @ self.products[own]
         return replace(
@@ -285,7 +283,7 @@ class PathState:
         own = [columns.of_group(g) for g in rest]
         inside = self.along[:, np.concatenate(own)] if own else np.zeros((len(self.along), 0))
         u, sizes, _ = np.linalg.svd(inside, full_matrices=True)
-        rank = int(np.sum(sizes > RANK * sizes.max(initial=0.0)))
+        rank = int(np.sum(sizes > RANK_TOLERANCE * sizes.max(initial=0.0)))
         kept, dropped = u[:, :rank].T, u[:, rank:].T
         lost, of_residual = dropped @ self.along, dropped @ self.residual
         return replace(

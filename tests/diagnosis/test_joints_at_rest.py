@@ -103,3 +103,14 @@ def test_a_joint_that_moves_for_an_instant_is_no_candidate():
     )  # fmt: skip
     model, slow = lieid.Model(robot, "coulomb,viscous,offset"), lieid.Processing(cutoff=3.0)
     assert not lieid.diagnose(model, recording, processing=slow).steps
+
+
+def test_what_training_did_not_move_is_uncertain_on_a_test_that_moves_it():
+    """Nothing is known of the friction of the second joint: its error is no missing effect."""
+    trained = held(ARM, 1, 1)
+    friction = lieid.identify(MODEL, trained).parameter_table()[-3]
+    assert (friction["name"], friction["joint"]) == ("viscous.f_v", 2)
+    assert friction["std"] > 1.0
+    found = lieid.diagnose(MODEL, trained, recorded(ARM, 2, seconds=15.0))
+    assert found.verdict == "unexplained"
+    assert "which uncertain parameters explain: fit longer or larger motion" in found.sentence

@@ -10,11 +10,10 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.identification.regression.design_matrix import Design, with_priors
 from lieid_casadi.identification.regression.least_squares import (
-    RANK_TOLERANCE,
     Factor,
     Rows,
     combine,
-    unit_columns,
+    independent_axes,
 )
 
 Estimate = Callable[[Factor], Array]
@@ -65,16 +64,14 @@ def with_whole_fit(rest: Factor, held: Factor, values: Array) -> Factor:
     information of all rows. What a fit cannot determine is in its covariance.
     """
     whole = combine([rest, held], [1.0, 1.0]).r[:, :-1]
-    scaled, scale = unit_columns(whole)
-    u, sizes, vt = np.linalg.svd(scaled, full_matrices=False)
-    excited = sizes > RANK_TOLERANCE * sizes.max(initial=0.0)
-    along = rest.r[:, :-1] @ ((vt[excited].T / sizes[excited]) / scale[:, None])
+    basis, axes, _ = independent_axes(whole)
+    along = rest.r[:, :-1] @ axes
     parts, directions = np.linalg.eigh(along.T @ along)
     few = parts < LEAST_INFORMATION
     if not few.any():
         return rest
     missing = np.sqrt(np.clip(1.0 - parts[few], 0.0, None))
-    added = missing[:, None] * (directions[:, few].T @ (u[:, excited].T @ whole))
+    added = missing[:, None] * (directions[:, few].T @ (basis.T @ whole))
     return combine([rest, Factor(np.column_stack([added, added @ values]), 0)], [1.0, 1.0])
 
 

@@ -20,7 +20,13 @@ from lieid_casadi.compiled.compiled_model import Part
 from lieid_casadi.effects import ArmEffect, Effect, Placement
 from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.expressions.effect_function import EffectFunction
-from lieid_casadi.identification.regression.least_squares import Factor, JointRows, Rows, combine
+from lieid_casadi.identification.regression.least_squares import (
+    NO_TORQUE,
+    Factor,
+    JointRows,
+    Rows,
+    combine,
+)
 from lieid_casadi.identification.regression.segment_columns import (
     effect_signals,
     filtered_columns,
@@ -453,11 +459,6 @@ class Design:
         return np.concatenate(list(used))
 
 
-def _torque(segment: Processed) -> Array:
-    assert segment.tau is not None  # checked before identification
-    return segment.tau
-
-
 def rows_per_independent(segment: Processed) -> float:
     """Return the number of filtered rows per independent one (two per period of the cut-off)."""
     time = segment.filtered_time
@@ -469,22 +470,32 @@ def with_priors(factor: Factor, design: Design) -> Factor:
     """Return a factor of rows in units of the noise, with those of what is known before any data.
 
     A prior counts as one independent row; filtered rows that depend on each other count as more
-    than they are, and the prior by the same factor. Moments of links are what gravity turns into
-    the largest torque, or less, and inertia is as large: single joints in motion show few of them.
+    than they are, and the prior by the same factor.
     """
-    model, first = design.model, design.segments[0]
+    known = np.sqrt(rows_per_independent(design.segments[0])) * known_before(factor, design)
+    return combine([factor, Factor(known, 0)], np.ones(2))
+
+
+def known_before(factor: Factor, design: Design) -> Array:
+    """Return a row (k, p + 1) for each parameter, over what it may be before any data.
+
+    Moments of links are what gravity turns into the largest torque, or less, and inertia is as
+    large: single joints in motion show few of them. What no row shows is at most that torque.
+    """
+    model, rate = design.model, design.segments[0].recording.rate
     laws = model.robot.drives or (None,) * model.n
-    torque = np.sqrt(np.mean(np.concatenate([_torque(s) for s in design.segments]) ** 2, axis=0))
+    taus = [s.tau for s in design.segments if s.tau is not None]
+    torque = np.sqrt(np.mean(np.concatenate(taus) ** 2, axis=0))
     own = [(p, c) for p in model.placements for c in p.effect.coefficients]
-    rows = []
+    largest, size, rows = max(float(torque.max()), 1e-6), np.linalg.norm(factor.r, axis=0), []
     for k, column in enumerate(model.base.kept - 10 * model.n):
-        known: tuple[float, float] | None = 0.0, max(float(torque.max()) / 9.81, 1e-6)
+        known: tuple[float, float] | None = 0.0, largest / 9.81
         if column >= 0:
             joint, prior = own[column][0].joint, own[column][1].prior
-            known = prior and prior(first.recording.rate, laws[joint], float(torque[joint]))
+            unknown = (0.0, largest) if size[k] <= NO_TORQUE * size.max() else None
+            known = prior(rate, laws[joint], float(torque[joint])) if prior else unknown
         if known is not None:
-            mean, spread = known
             row = np.zeros(factor.r.shape[1])
-            row[[k, -1]] = np.array([1.0, mean]) * np.sqrt(rows_per_independent(first)) / spread
+            row[[k, -1]] = np.array([1.0, known[0]]) / known[1]
             rows.append(row)
-    return combine([factor, Factor(np.array(rows), 0)], np.ones(2)) if rows else factor
+    return np.array(rows)

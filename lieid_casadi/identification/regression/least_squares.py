@@ -159,16 +159,24 @@ def unit_columns(matrix: Array) -> tuple[Array, Array]:
     return matrix / norms, norms
 
 
+def independent_axes(
+    matrix: Array, *, tolerance: float = RANK_TOLERANCE
+) -> tuple[Array, Array, Array]:
+    """Return an orthonormal basis U (R, r) of columns, V (p, r) with U = matrix·V, and the rest.
+
+    The rest (p − r, p) are directions that do not change matrix·β.
+    """
+    scaled, scale = unit_columns(matrix)
+    u, sizes, vt = np.linalg.svd(scaled, full_matrices=False)
+    used = sizes > tolerance * sizes.max(initial=0.0)
+    return u[:, used], vt[used].T / sizes[used] / scale[:, None], vt[~used] / scale
+
+
 def solve(factor: Factor) -> LeastSquaresSolution:
     """Return the least-squares solution, of minimum norm where it is not unique."""
-    r, z = factor.r[:, :-1], factor.r[:, -1]
-    scaled, scale = unit_columns(r)
-    u, sizes, vt = np.linalg.svd(scaled, full_matrices=False)
-    excited = sizes > RANK_TOLERANCE * sizes[0] if sizes[0] > 0 else np.zeros(len(sizes), bool)
-    inverse = (vt[excited].T / sizes[excited]) / scale[:, None]
-    values = inverse @ (u[:, excited].T @ z)
-    unexcited = tuple(direction / scale for direction in vt[~excited])
-    return LeastSquaresSolution(values, inverse @ inverse.T, unexcited)
+    basis, axes, unexcited = independent_axes(factor.r[:, :-1])
+    values = axes @ (basis.T @ factor.r[:, -1])
+    return LeastSquaresSolution(values, axes @ axes.T, tuple(unexcited))
 
 
 def independent_fraction(factor: Factor) -> Array:

@@ -25,11 +25,10 @@ from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.identification.regression.design_matrix import Design, VaryingEffect, grid_key
 from lieid_casadi.identification.regression.least_squares import (
-    RANK_TOLERANCE,
     Rows,
     combine,
+    independent_axes,
     joint_factors,
-    unit_columns,
 )
 from lieid_casadi.identification.regression.segment_columns import model_along
 from lieid_casadi.identification.regression.variable_projection import ShapeRange
@@ -173,13 +172,9 @@ class WeightedProjection:
         self.weights, self._rows = 1.0 / noise, rows
         fixed = np.setdiff1d(np.arange(rows.count), varying)
         factor = combine(joint_factors(rows), self.weights)
-        r, z = factor.r[:, fixed], factor.r[:, -1]
-        scaled, scale = unit_columns(r)
-        u, sizes, vt = np.linalg.svd(scaled, full_matrices=False)
-        used = sizes > RANK_TOLERANCE * sizes.max(initial=0.0)
-        self._axes = np.zeros((rows.count, int(used.sum())))
-        self._axes[fixed] = (vt[used].T / sizes[used]) / scale[:, None]
-        along = u[:, used].T @ z
+        z, (basis, axes, _) = factor.r[:, -1], independent_axes(factor.r[:, fixed])
+        self._axes = np.zeros((rows.count, axes.shape[1]))
+        self._axes[fixed], along = axes, basis.T @ z
         self._values, self.cost = self._axes @ along, float(z @ z - along @ along)
         self._residuals: dict[int, Array] = {}
 

@@ -29,7 +29,12 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from lieid_casadi.arrays import Array, Indices
-from lieid_casadi.identification.regression.design_matrix import Design
+from lieid_casadi.identification.regression.design_matrix import (
+    Design,
+    known_before,
+    rows_per_independent,
+    with_priors,
+)
 from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import (
     WEAK,
@@ -290,15 +295,16 @@ def _parzen(size: int, lags: int) -> Array:
 
 
 def fit_covariance(design: Design, state: FitState) -> Array:
-    """Return the covariance of values and shapes (p + s, p + s)."""
+    """Return the covariance of values and shapes (p + s, p + s), that of the priors included."""
     rows, values = state.rows, state.solution.values
     residuals = rows.residuals(values)
-    unit = state.solution.unit_covariance
     if len(state.shapes):
         slopes = shape_columns(design, values, state.shapes, state.parameters)
         rows = with_columns(rows, slopes)
-        unit = solve(stacked(rows, state.weighting.rows)).unit_covariance
-    return hac_covariance(rows, state.weighting.rows, residuals, unit)
+    factor = stacked(rows, state.weighting.rows)
+    unit = solve(with_priors(factor, design)).unit_covariance
+    known = rows_per_independent(design.segments[0]) * unit @ known_before(factor, design)[:, :-1].T
+    return hac_covariance(rows, state.weighting.rows, residuals, unit) + known @ known.T
 
 
 def with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
