@@ -23,7 +23,6 @@ from lieid_casadi.identification.regression.least_squares import (
     JointRows,
     Rows,
     combine,
-    joint_factors,
     row_weights,
     solve,
 )
@@ -56,7 +55,7 @@ def solve_gains(unloaded: Design, loaded: Design, mass: float) -> GainSolution:
     n = unloaded.model.n
     rows = _rows(unloaded, loaded, mass)
     # triangular factors without the right-hand side, which is zero
-    factors = [Factor(f.r[:, :-1], f.rows) for f in joint_factors(rows)]
+    factors = [Factor(f.r[:, :-1], f.rows) for f in rows.factors]
     size = np.array([_size(j.matrix[:, k]) for k, j in enumerate(rows.joints)])
     found, converged = _linear_start(combine(factors, 1.0 / size), n), False
     for _ in range(MOST_ITERATIONS):
@@ -76,7 +75,7 @@ def solve_gains(unloaded: Design, loaded: Design, mass: float) -> GainSolution:
         rows.count - 1, rows.segments,
     )  # fmt: skip
     weights = row_weights(exact, 1.0 / np.array([_size(e) for e in residuals]))
-    least = solve(combine(joint_factors(exact), [1.0 / _size(e) for e in residuals]))
+    least = solve(combine(exact.factors, [1.0 / _size(e) for e in residuals]))
     return GainSolution(
         gains=found[:n],
         mass=mass,

@@ -44,7 +44,6 @@ from lieid_casadi.identification.regression.least_squares import (
     JointRows,
     Rows,
     combine,
-    joint_factors,
     name_direction,
     row_weights,
     solve,
@@ -127,7 +126,7 @@ class LoadedRun:
         converged, before = False, self._residuals(self._rows(body), body)
         for _ in range(MOST_ITERATIONS):
             rows, errors = self._equations(body, free)
-            factor = self._with_prior(combine(joint_factors(rows), self._weights(noise)))
+            factor = self._with_prior(combine(rows.factors, self._weights(noise)))
             solution = solve(factor)
             fresh = solution.values[:BODY]
             noise = self._noise(rows, solution.values, noise)

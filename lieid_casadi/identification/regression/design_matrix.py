@@ -472,15 +472,21 @@ def with_priors(factor: Factor, design: Design) -> Factor:
     A prior counts as one independent row; filtered rows that depend on each other count as more
     than they are, and the prior by the same factor.
     """
-    known = np.sqrt(rows_per_independent(design.segments[0])) * known_before(factor, design)
-    return combine([factor, Factor(known, 0)], np.ones(2))
+    return with_rows(factor, design, known_before(factor, design, of_effects=True))
 
 
-def known_before(factor: Factor, design: Design) -> Array:
+def with_rows(factor: Factor, design: Design, known: Array) -> Factor:
+    """Return a factor with rows (k, p + 1) that each count as one independent row."""
+    counted = np.sqrt(rows_per_independent(design.segments[0])) * known
+    return combine([factor, Factor(counted, 0)], np.ones(2))
+
+
+def known_before(factor: Factor, design: Design, *, of_effects: bool) -> Array:
     """Return a row (k, p + 1) for each parameter, over what it may be before any data.
 
     Moments of links are what gravity turns into the largest torque, or less, and inertia is as
     large: single joints in motion show few of them. What no row shows is at most that torque.
+    ``of_effects`` adds the priors of effects' coefficients.
     """
     model, rate = design.model, design.segments[0].recording.rate
     laws = model.robot.drives or (None,) * model.n
@@ -493,7 +499,9 @@ def known_before(factor: Factor, design: Design) -> Array:
         if column >= 0:
             joint, prior = own[column][0].joint, own[column][1].prior
             unknown = (0.0, largest) if size[k] <= NO_TORQUE * size.max() else None
-            known = prior(rate, laws[joint], float(torque[joint])) if prior else unknown
+            known = (
+                prior(rate, laws[joint], float(torque[joint])) if prior and of_effects else unknown
+            )
         if known is not None:
             row = np.zeros(factor.r.shape[1])
             row[[k, -1]] = np.array([1.0, known[0]]) / known[1]

@@ -51,7 +51,7 @@ class Rows:
     @cached_property
     def factors(self) -> list[Factor]:
         """One factor per joint of the rows without weights."""
-        return _factors(self, [None] * len(self.joints))
+        return joint_factors(self, [None] * len(self.joints))
 
     @property
     def lengths(self) -> Indices:
@@ -113,12 +113,8 @@ class LeastSquaresSolution:
     unexcited: tuple[Array, ...]
 
 
-def joint_factors(rows: Rows, weights: Sequence[Array] | None = None) -> list[Factor]:
+def joint_factors(rows: Rows, weights: Sequence[Array | None]) -> list[Factor]:
     """Return one factor per joint, in all p columns; ``weights`` multiply the rows."""
-    return rows.factors if weights is None else _factors(rows, weights)
-
-
-def _factors(rows: Rows, weights: Sequence[Array | None]) -> list[Factor]:
     found = []
     for j, (joint, weight) in enumerate(zip(rows.joints, weights, strict=True)):
         triangle = Triangle(len(joint.columns) + 1)
@@ -136,7 +132,8 @@ def _factors(rows: Rows, weights: Sequence[Array | None]) -> list[Factor]:
 
 def stacked(rows: Rows, weights: Sequence[Array] | None = None) -> Factor:
     """Return the factor of the rows of all joints, multiplied by weights."""
-    return combine(joint_factors(rows, weights), np.ones(len(rows.joints)))
+    factors = rows.factors if weights is None else joint_factors(rows, weights)
+    return combine(factors, np.ones(len(factors)))
 
 
 def combine(factors: Sequence[Factor], weights: Sequence[float] | Array) -> Factor:

@@ -24,12 +24,7 @@ import numpy as np
 from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.effects import ArmEffect, Placement
 from lieid_casadi.identification.regression.design_matrix import Design, VaryingEffect, grid_key
-from lieid_casadi.identification.regression.least_squares import (
-    Rows,
-    combine,
-    independent_axes,
-    joint_factors,
-)
+from lieid_casadi.identification.regression.least_squares import Rows, combine, independent_axes
 from lieid_casadi.identification.regression.segment_columns import model_along
 from lieid_casadi.identification.regression.variable_projection import ShapeRange
 
@@ -171,7 +166,7 @@ class WeightedProjection:
     def __init__(self, rows: Rows, varying: Indices, noise: Array) -> None:
         self.weights, self._rows = 1.0 / noise, rows
         fixed = np.setdiff1d(np.arange(rows.count), varying)
-        factor = combine(joint_factors(rows), self.weights)
+        factor = combine(rows.factors, self.weights)
         z, (basis, axes, _) = factor.r[:, -1], independent_axes(factor.r[:, fixed])
         self._axes = np.zeros((rows.count, axes.shape[1]))
         self._axes[fixed], along = axes, basis.T @ z

@@ -33,7 +33,7 @@ from lieid_casadi.identification.regression.design_matrix import (
     Design,
     known_before,
     rows_per_independent,
-    with_priors,
+    with_rows,
 )
 from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import (
@@ -295,16 +295,18 @@ def _parzen(size: int, lags: int) -> Array:
 
 
 def fit_covariance(design: Design, state: FitState) -> Array:
-    """Return the covariance of values and shapes (p + s, p + s), that of the priors included."""
+    """Return the covariance of values and shapes (p + s, p + s), and of what no row shows."""
     rows, values = state.rows, state.solution.values
-    residuals = rows.residuals(values)
+    residuals, unit = rows.residuals(values), state.solution.unit_covariance
     if len(state.shapes):
         slopes = shape_columns(design, values, state.shapes, state.parameters)
         rows = with_columns(rows, slopes)
     factor = stacked(rows, state.weighting.rows)
-    unit = solve(with_priors(factor, design)).unit_covariance
-    known = rows_per_independent(design.segments[0]) * unit @ known_before(factor, design)[:, :-1].T
-    return hac_covariance(rows, state.weighting.rows, residuals, unit) + known @ known.T
+    known = known_before(factor, design, of_effects=False)
+    if len(state.shapes):
+        unit = solve(with_rows(factor, design, known)).unit_covariance
+    half = rows_per_independent(design.segments[0]) * unit @ known[:, :-1].T
+    return hac_covariance(rows, state.weighting.rows, residuals, unit) + half @ half.T
 
 
 def with_columns(rows: Rows, further: Sequence[Array]) -> Rows:

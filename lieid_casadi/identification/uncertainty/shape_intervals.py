@@ -21,7 +21,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.errors import BoundWarning, LieidWarning
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
-from lieid_casadi.identification.regression.least_squares import Rows, combine, joint_factors, solve
+from lieid_casadi.identification.regression.least_squares import Rows, combine, solve
 from lieid_casadi.identification.regression.shape_scan import ShapeScan, WeightedProjection
 from lieid_casadi.identification.regression.variable_projection import resolved_range, shape_columns
 from lieid_casadi.identification.uncertainty.covariance import (
@@ -57,7 +57,7 @@ def shape_intervals(design: Design, state: FitState, covariance: Array) -> Shape
         return ShapeIntervals(*ends, *opens)
     slopes = shape_columns(design, state.solution.values, state.shapes, state.parameters)
     whole = with_columns(state.rows, slopes)
-    independent = solve(combine(joint_factors(whole), weights)).unit_covariance
+    independent = solve(combine(whole.factors, weights)).unit_covariance
     slowest, first, model = _slowest_growth(state), state.rows.count, design.model
     ranges = resolved_range(design)
     for number, member in enumerate(scan.members):
