@@ -32,7 +32,6 @@ from lieid_casadi.identification.regression.least_squares import (
     LeastSquaresSolution,
     Rows,
     independent_fraction,
-    name_direction,
 )
 from lieid_casadi.identification.regression.variable_projection import resolved_range
 from lieid_casadi.messages import in_unit
@@ -146,15 +145,14 @@ def bounds(design: Design, least: FitState, state: FitState) -> list[LieidWarnin
 
 
 def unexcited(model: Model, solution: LeastSquaresSolution) -> list[LieidWarning]:
-    """Return warnings about directions of the parameters that the recordings do not excite."""
-    labels = [p.label for p in model.base_columns]
-    return [
-        UnidentifiableWarning(
-            f"not excited by this recording: {name_direction(direction, labels)}; "
-            "the minimum-norm value was used"
-        )
-        for direction in solution.unexcited
-    ]
+    """Return a warning about directions of the parameters that the recordings do not excite."""
+    if not solution.unexcited:
+        return []
+    count, spanned = len(solution.unexcited), np.linalg.qr(np.transpose(solution.unexcited))[0]
+    part = np.sum(spanned**2, axis=1)  # of each parameter that they contain
+    names = ", ".join(p.label for p, own in zip(model.base_columns, part, strict=True) if own > 0.5)
+    text = f"not excited by this recording: {count} combination{'s' * (count > 1)} of {names}"
+    return [UnidentifiableWarning(f"{text}; the minimum-norm value was used")]
 
 
 def at_rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
