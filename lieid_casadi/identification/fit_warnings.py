@@ -152,7 +152,7 @@ def unexcited(model: Model, solution: LeastSquaresSolution) -> list[LieidWarning
     part = np.sum(spanned**2, axis=1)  # of each parameter that they contain
     names = ", ".join(p.label for p, own in zip(model.base_columns, part, strict=True) if own > 0.5)
     text = f"not excited by this recording: {count} combination{'s' * (count > 1)} of {names}"
-    return [UnidentifiableWarning(f"{text}; the minimum-norm value was used")]
+    return [UnidentifiableWarning(f"{text}; zero was used")]
 
 
 def at_rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:

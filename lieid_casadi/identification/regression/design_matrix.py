@@ -36,6 +36,7 @@ from lieid_casadi.identification.regression.segment_columns import (
 from lieid_casadi.model import Model
 from lieid_casadi.recording.filtering import Window
 from lieid_casadi.recording.processed import Processed
+from lieid_casadi.robot.description import STANDARD_GRAVITY
 
 #: A column on a joint: the joint, and a link parameter, or a placed effect and its coefficient;
 #: or those of a placed effect at values of its shapes, whose bytes are in place of a coefficient.
@@ -495,7 +496,7 @@ def known_before(factor: Factor, design: Design, *, of_effects: bool) -> Array:
     own = [(p, c) for p in model.placements for c in p.effect.coefficients]
     largest, size, rows = max(float(torque.max()), 1e-6), np.linalg.norm(factor.r, axis=0), []
     for k, column in enumerate(model.base.kept - 10 * model.n):
-        known: tuple[float, float] | None = 0.0, largest / 9.81
+        known: tuple[float, float] | None = 0.0, largest / -STANDARD_GRAVITY[2]
         if column >= 0:
             joint, prior = own[column][0].joint, own[column][1].prior
             unknown = (0.0, largest) if size[k] <= NO_TORQUE * size.max() else None
