@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from payload.loaded_plant import CUTOFF, MASS, PANDA, PAYLOAD, TRUTH, fitted, measured
 from report.test_reports import FETCHING, Page
@@ -58,6 +58,7 @@ def test_all_ten_quantities_within_three_standard_deviations(payload):
 
 @settings(max_examples=2, deadline=None)
 @given(seed=st.integers(0, 1000), mass=st.floats(0.3, 5.0))
+@example(seed=287, mass=1.0)  # its base parameters are sums of link parameters times up to 1e5
 def test_exact_for_any_arm_without_noise(seed, mass):
     """Random geometries, prismatic joints and tool frames, any body, against Pinocchio."""
     rng = np.random.default_rng(seed)

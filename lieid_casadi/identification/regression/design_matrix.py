@@ -483,28 +483,27 @@ def with_rows(factor: Factor, design: Design, known: Array) -> Factor:
 
 
 def known_before(factor: Factor, design: Design, *, of_effects: bool) -> Array:
-    """Return a row (k, p + 1) for each parameter, over what it may be before any data.
+    """Return rows (k, p + 1) of what parameters may be before any data, in units of that.
 
     Moments of links are what gravity turns into the largest torque, or less, and inertia is as
-    large: single joints in motion show few of them. What no row shows is at most that torque.
-    ``of_effects`` adds the priors of effects' coefficients.
+    large; base parameters are their sums. Single joints in motion show few of them. What no row
+    shows is at most that torque. ``of_effects`` adds the priors of effects' coefficients.
     """
     model, rate = design.model, design.segments[0].recording.rate
     laws = model.robot.drives or (None,) * model.n
     taus = [s.tau for s in design.segments if s.tau is not None]
     torque = np.sqrt(np.mean(np.concatenate(taus) ** 2, axis=0))
     own = [(p, c) for p in model.placements for c in p.effect.coefficients]
-    largest, size, rows = max(float(torque.max()), 1e-6), np.linalg.norm(factor.r, axis=0), []
-    for k, column in enumerate(model.base.kept - 10 * model.n):
-        known: tuple[float, float] | None = 0.0, largest / -STANDARD_GRAVITY[2]
-        if column >= 0:
-            joint, prior = own[column][0].joint, own[column][1].prior
-            unknown = (0.0, largest) if size[k] <= NO_TORQUE * size.max() else None
-            known = (
-                prior(rate, laws[joint], float(torque[joint])) if prior and of_effects else unknown
-            )
+    largest, size = max(float(torque.max()), 1e-6), np.linalg.norm(factor.r, axis=0)
+    of_links = np.flatnonzero(model.base.kept < 10 * model.n)
+    rows = np.zeros((model.base.count, factor.r.shape[1]))
+    _, sums = np.linalg.qr(model.base.combination[of_links].T)  # squared: their covariance
+    rows[np.ix_(of_links, of_links)] = np.linalg.inv(sums.T) * -STANDARD_GRAVITY[2] / largest
+    for k in np.flatnonzero(model.base.kept >= 10 * model.n):
+        placement, coefficient = own[model.base.kept[k] - 10 * model.n]
+        joint, prior = placement.joint, coefficient.prior
+        unknown = (0.0, largest) if size[k] <= NO_TORQUE * size.max() else None
+        known = prior(rate, laws[joint], float(torque[joint])) if prior and of_effects else unknown
         if known is not None:
-            row = np.zeros(factor.r.shape[1])
-            row[[k, -1]] = np.array([1.0, known[0]]) / known[1]
-            rows.append(row)
-    return np.array(rows)
+            rows[k, k], rows[k, -1] = 1.0 / known[1], known[0] / known[1]
+    return rows
