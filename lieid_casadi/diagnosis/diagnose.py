@@ -2,7 +2,8 @@
 
 The method, for missing effects (`missing`):
 
-1. Fit the model; leave out contact and faults (`events`), which the final model judges again.
+1. Fit the model; leave out contact and faults (`events`), which the final model judges again, and
+   in tests alone.
 2. Evaluate every effect of the library on every joint on the rows of the fit (`rows`), and what
    changes between recordings or in the course of one; find the path of effects that together
    explain most (`path`), on all rows and on the rows outside each of ten held-out stretches of time
@@ -38,6 +39,7 @@ from lieid_casadi.errors import DropoutWarning, IdentificationError, unique_warn
 from lieid_casadi.identification import Fit, identify
 from lieid_casadi.identification.fit_warnings import held_joints
 from lieid_casadi.identification.identify import Method
+from lieid_casadi.identification.recording_checks import check_recordings
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processing, Recording
 from lieid_casadi.recording.plausibility import check_time
@@ -107,26 +109,23 @@ def diagnose(
         changed = diagnose_changed(model, kept, options=chosen, report=report)
         return _with_events(changed, events, recordings, seed)
     report("identify", 0.0)
-    first = identify(as_model(model), recordings, method=method, processing=processing)
-    judged = with_brief_effects(first, recordings, method)
-    kept, events = leave_out_events(judged, recordings)
-    kept_tests, test_events = leave_out_events(judged, tests) if tests else ([], ())
-    # a joint that rests in the test alone is identified
-    of_test = (event for event in test_events if event.kind != "standstill")
-    events, every = (*events, *of_test), [*recordings, *tests]
+    model = as_model(model)
+    check_recordings(model, [*recordings, *tests])
+    first = identify(model, recordings, method=method, processing=processing)
+    kept, events = leave_out_events(with_brief_effects(first, recordings, method), recordings)
     while True:
         fit, left_out = first, any(event.kind != "standstill" for event in events)
         if left_out:
-            fit = identify(as_model(model), kept, method=method, processing=first.processing)
+            fit = identify(model, kept, method=method, processing=first.processing)
         found = diagnose_missing(
-            fit, kept, kept_tests, method=method, options=chosen, ask=ask, report=report
+            fit, kept, tests, method=method, options=chosen, ask=ask, report=report
         )
-        standing = unexplained_events(found.fit, every, events) if left_out else events
+        standing = unexplained_events(found.fit, recordings, events) if left_out else events
         if len(standing) == len(events):
-            return _with_events(found, events, every, seed)
+            events = (*events, *found.events)
+            return _with_events(found, events, [*recordings, *tests], seed)
         # effects that the first model lacked looked like contact
         events, kept = standing, without_events(recordings, standing)
-        kept_tests = tests and without_events(tests, standing)
 
 
 def _with_events(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from lieid_casadi.arrays import Mask
 from lieid_casadi.diagnosis.transients import Event, transient_events
 from lieid_casadi.effects.backlash import Backlash
+from lieid_casadi.effects.presliding import Presliding
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.errors import IdentificationError, NoSolution, RecordingError
 from lieid_casadi.identification import Fit, identify
@@ -19,11 +18,10 @@ from lieid_casadi.identification.recording_checks import Source, check_recording
 from lieid_casadi.messages import joints_text
 from lieid_casadi.recording import Processed, Recording, process
 from lieid_casadi.recording.conversion import is_torque_of_laws
-from lieid_casadi.recording.measurement import OPTIONAL_SIGNALS
 from lieid_casadi.recording.sample_timing import gap_limit
 from lieid_casadi.robot import Robot
 
-BRIEF = (TorqueSaturation.name, Backlash.name)  # effects that act for short times
+OF_DRIVES = (TorqueSaturation.name, Backlash.name)  # effects that act for short times
 MARGIN = 0.1  # s on both sides of an event
 #: Range of positions (rad, a tenth of it in m) that a joint must cover for effects on it: less is
 #: compliance of a held joint.
@@ -62,19 +60,7 @@ def _without(recording: Recording, events: Sequence[Event]) -> Recording:
     for event in events:
         if event.kind != "standstill" and event.recording.sha256 == recording.source_hash:
             keep &= (recording.t < event.start - margin) | (recording.t > event.end + margin)
-    if keep.all():
-        return recording
-    signals: dict[str, Any] = {
-        field: None if values is None else values[keep]
-        for field in OPTIONAL_SIGNALS
-        for values in [getattr(recording, field)]
-    }
-    labels = recording.payload_label
-    if labels is not None:
-        labels = tuple(label for label, use in zip(labels, keep, strict=True) if use)
-    return replace(
-        recording, t=recording.t[keep], q=recording.q[keep], payload_label=labels, **signals
-    )
+    return recording if keep.all() else recording.at(keep)
 
 
 def moves_enough(robot: Robot, segments: Sequence[Processed]) -> Mask:
@@ -115,14 +101,14 @@ def with_brief_effects(fit: Fit, recordings: Sequence[Recording], method: Method
 
     The link of a joint with backlash hits the side of its play whenever its load changes its sign.
     That is not a contact to be left out: it is what shows the play. A drive whose torque is limited
-    below its law has such errors at each fast command. If a fit of a drive under position control
-    has transient errors, that with limits or with backlash on every joint is returned if these are
-    fewer and its held-out error is lower.
+    below its law has such errors at each fast command, friction that builds up at each reversal. If
+    a fit has transient errors, that with limits or with backlash on every joint (drives under
+    position control), or with friction that builds up, is returned if these are shorter and its
+    held-out error is lower.
     """
-    if not follows_commands(fit.model.robot, recordings):
-        return fit
+    brief = OF_DRIVES if follows_commands(fit.model.robot, recordings) else (Presliding.name,)
     judged, least = fit, _left_out(fit, recordings)
-    for effect in BRIEF if least > 0.0 else ():
+    for effect in brief if least > 0.0 else ():
         try:
             model = fit.model.with_effect(effect)
             other = identify(model, recordings, method=method, processing=fit.processing)
@@ -136,4 +122,4 @@ def with_brief_effects(fit: Fit, recordings: Sequence[Recording], method: Method
 
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> float:
     """Return the time that transient errors of a fit would leave out, s."""
-    return sum(event.end - event.start for event in transient_events(fit, recordings))
+    return sum(e.end - e.start + 2.0 * MARGIN for e in transient_events(fit, recordings))

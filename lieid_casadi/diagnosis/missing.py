@@ -11,6 +11,7 @@ from lieid_casadi.arrays import Array
 from lieid_casadi.comparison import compare
 from lieid_casadi.comparison.compare import compare_segments, compared_segments
 from lieid_casadi.diagnosis.candidates import Candidate, is_delay
+from lieid_casadi.diagnosis.events import leave_out_events
 from lieid_casadi.diagnosis.evidence import OTHER_JOINTS, Slot
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.gates import (
@@ -226,10 +227,14 @@ def _described(
     rows: Rows,
     last: Round,
     train: Sequence[Recording],
-    recorded_tests: Sequence[Recording],
+    every_test: Sequence[Recording],
 ) -> Diagnosis:
-    """Return the diagnosis, whose numbers are those of the state's fit; ``rows`` are the first."""
+    """Return the diagnosis, whose numbers are those of the state's fit; ``rows`` are the first.
+
+    What the effects explain in a test is neither contact nor a fault, so that it is in its errors.
+    """
     search, first, fit = state.search, state.search.first, state.fit
+    recorded_tests, events = leave_out_events(fit, every_test) if every_test else ([], ())
     tests = compared_segments(fit, recorded_tests) if recorded_tests else None
     final = FinalModel.of(fit, search.segments)
     after = compare(fit, recorded_tests) if recorded_tests else None
@@ -300,6 +305,8 @@ def _described(
         ),
         train=first.provenance.recordings,
         test=tuple(Source(r.name, r.source_hash) for r in recorded_tests),
+        # a joint that rests in the test alone is identified
+        events=tuple(event for event in events if event.kind != "standstill"),
         motion=state.motion_gain([]),
         limits_reached=tuple(name for name, reached in limits if reached),
     )

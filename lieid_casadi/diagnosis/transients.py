@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 from scipy.spatial import KDTree
 
 from lieid_casadi.arrays import Array, Mask
@@ -162,7 +162,7 @@ def outstanding(own: ResidualSignals, size: Array, joint: int) -> list[slice]:
     return [
         stretch
         for stretch in (_around(size[:, joint], k) for k in peaks)
-        if _fault(own, stretch)
+        if _fault(own, stretch, [joint])
         or not (
             returns_with_state(own, stretch, joint) or returns_with_position(own, stretch, joint)
         )
@@ -210,7 +210,7 @@ def _event(own: ResidualSignals, scale: Array, stretch: slice) -> Event:
     joints = tuple(map(int, np.flatnonzero(large)))
     start, end = float(own.time[stretch.start]), float(own.time[stretch.stop - 1])
     peak = float(np.abs(own.transient[stretch][:, joints]).max())
-    segment, fault = own.segment, _fault(own, stretch)
+    segment, fault = own.segment, _fault(own, stretch, joints)
     kind: Kind = "fault" if fault else "contact"
     name = segment.recording.name or "recording"
     where = joints_text(j in joints for j in range(len(scale)))
@@ -223,24 +223,23 @@ def _event(own: ResidualSignals, scale: Array, stretch: slice) -> Event:
     return Event(kind, source, start, end, joints, peak, sentence)
 
 
-def _fault(own: ResidualSignals, stretch: slice) -> str:
-    """Return what shows a fault of the recorder in a stretch, or an empty text."""
+def _fault(own: ResidualSignals, stretch: slice, joints: Sequence[int]) -> str:
+    """Return what shows a fault of the recorder in an error of joints, or an empty text."""
     segment, raw = own.segment, own.segment.recording
+    peak = np.abs(own.transient[stretch][:, joints]).max(axis=0)
     assert raw.tau is not None
     start, end = own.time[stretch.start], own.time[stretch.stop - 1]
     margin = 0.5 / segment.cutoff
     rows = np.flatnonzero((raw.t >= start - margin) & (raw.t <= end + margin))
-    tau = raw.tau[rows]
-    if len(rows) < 2:
-        return ""
-    same = np.all(np.diff(tau, axis=0) == 0.0, axis=1)
+    same = np.all(np.diff(raw.tau[rows], axis=0) == 0.0, axis=1)
     run = np.diff(np.flatnonzero(np.concatenate([[True], ~same, [True]]))).max()
     if run >= FEWEST_FROZEN:
         return f"{run} samples have the same torque on every joint, a fault of the recorder"
-    away = np.abs(tau - np.median(tau, axis=0))
-    far = np.any(away > 0.5 * away.max(axis=0) + 1e-12, axis=1) & np.any(
-        away > 10.0 * np.median(away, axis=0) + 1e-9, axis=1
-    )
+    # a median keeps the step of friction at a reversal; a filtered spike is less than a raw one
+    own_tau = raw.tau[:, joints]
+    away = np.abs(own_tau - median_filter(own_tau, (2 * SPIKE_ROWS + 1, 1)))[rows]
+    least = np.maximum(10.0 * np.median(away, axis=0), peak)
+    far = np.any(away > np.maximum(0.5 * away.max(axis=0), least), axis=1)
     if 0 < far.sum() <= SPIKE_ROWS:
         return f"single samples ({far.sum()}) far from their neighbours, a fault of the recorder"
     return ""

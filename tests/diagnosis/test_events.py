@@ -1,5 +1,6 @@
 """Contact, faults and joints at rest are recognised, reported and left out; the rest is judged."""
 
+import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
-from lieid_casadi.diagnosis.events import leave_out_events
+from lieid_casadi.diagnosis.events import leave_out_events, with_brief_effects
 from lieid_casadi.diagnosis.transients import (
     ResidualSignals,
     outstanding,
@@ -136,16 +137,42 @@ def test_a_push_while_training_does_not_hide_what_is_missing():
     assert [step.label for step in found.steps] == ["load_friction:2"]
 
 
-@pytest.mark.slow
-def test_what_the_missing_effects_explain_is_no_event_in_the_end():
-    """Beside the plain model the ripple of joint 6 looks like a fault of the recorder."""
+def with_hidden(names, joint, strength):
     arm = plant.demo_arm(ROBOT, seed=0, hidden=None)
-    ripples = [plant.hidden_effect(arm, "torque_ripple", j, strength=6.0) for j in (1, 3, 5)]
-    run = recorded(arm.with_effects(*ripples), 2, seconds=12.0, name="run")
-    assert transient_events(lieid.identify(MODEL, run), [run])
+    effects = (plant.hidden_effect(arm, name, joint, strength=strength) for name in names)
+    return arm.with_effects(*effects)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("brief", [True, False])
+def test_what_the_missing_effects_explain_is_no_event_in_the_end(monkeypatch, brief):
+    """Beside the plain model friction that is larger at first looks like contact."""
+    run = recorded(with_hidden(["stribeck", "warm_up"], 0, 12.0), 8, seconds=12.0, name="run")
+    plain = lieid.identify(MODEL, run)
+    assert transient_events(plain, [run])
+    if brief:
+        assert not transient_events(with_brief_effects(plain, [run], "wls"), [run])
+    else:
+        module = sys.modules["lieid_casadi.diagnosis.diagnose"]
+        monkeypatch.setattr(module, "with_brief_effects", lambda fit, *_: fit)
     found = lieid.diagnose(MODEL, run)
     assert found.events == ()
-    assert {step.label for step in found.steps} == {f"torque_ripple:{j}" for j in (2, 4, 6)}
+    assert [step.label for step in found.steps] == ["stribeck:1"]
+
+
+@pytest.mark.slow
+def test_what_the_missing_effects_explain_is_no_event_in_a_test():
+    arm = with_hidden(["position_friction", "viscous_asymmetric"], 4, 12.0)
+    train, test = (recorded(arm, seed, seconds=10.0, name="run") for seed in (7, 27))
+    assert transient_events(lieid.identify(MODEL, train), [test])
+    found = lieid.diagnose(MODEL, train, test)
+    assert found.events == ()
+    assert found.unexplained == ()
+
+
+def test_a_step_of_friction_at_a_reversal_is_no_fault():
+    run = recorded(with_hidden(["stribeck", "position_friction"], 1, 6.0), 5, seconds=8.0)
+    assert transient_events(lieid.identify(MODEL, run), [run]) == ()
 
 
 @pytest.mark.parametrize("fault", ["frozen", "spike"])
