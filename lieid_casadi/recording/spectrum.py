@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.signal import welch
 
@@ -16,7 +18,7 @@ from lieid_casadi.recording.filtering import (
     uniform_time,
 )
 from lieid_casadi.recording.recording import Recording
-from lieid_casadi.recording.repairs import without_repeats
+from lieid_casadi.recording.repairs import late_velocities, without_repeats
 
 #: Least and most cut-off over the band of the motion.
 LEAST_BANDS, MOST_BANDS = 6.0, 25.0
@@ -57,6 +59,8 @@ def choose_cutoff(recording: Recording) -> float:
     band = motion_band(longest)
     if band is None:
         return _two_digits(min(5.0, highest), highest)
+    if late_velocities(longest, min(LEAST_BANDS * band, highest)).any():
+        longest = replace(longest, dq=None)  # filtered: accelerations are derived from positions
     explained, accurate = _explained_bands(longest) or (LEAST_BANDS * band, np.inf)
     cutoff = float(np.clip(explained, LEAST_BANDS * band, MOST_BANDS * band))
     if longest.drives is not None and is_torque_of_laws(longest, longest.drives):
