@@ -1,8 +1,8 @@
 """Noise floor: the RMS error in motion of a model that lacks nothing, after the fit's filter.
 
 This is the only definition; comparisons, diagnoses, their pictures and reports use it. Noise is
-what does not depend on the motion. It is estimated from the difference between periods where a
-recording is periodic (`period_noise`), and otherwise as the part of the error that no function of
+what does not depend on the motion. It is estimated from the difference between periods where all
+recordings are periodic (`period_noise`), and otherwise as the part of the error that no function of
 the motion explains: the model's own columns and common effects (`motion_columns`), alone or with
 couplings of the joints (`coupling_columns`), by ridge regression whose penalty is chosen on
 held-out blocks of time. Functions of the motion explain a part of slow noise by chance: an error
@@ -75,10 +75,10 @@ def noise_floor(
     rows = design.rows(fit.shapes, fit.parameters)
     unseen = [not fit.provenance.contains(Source.of(s.recording)) for s in segments]
     residuals = rows.residuals(fit.lasting_values if all(unseen) else fit.values)
-    repeated = [(period_noise(r, cutoff=cutoff), r.duration) for r in recordings]
-    squares = [noise**2 for noise, _ in repeated if noise is not None]
-    if squares:
-        durations = [duration for noise, duration in repeated if noise is not None]
+    repeated = [period_noise(r, cutoff=cutoff) for r in recordings]
+    squares = [noise**2 for noise in repeated if noise is not None]
+    if len(squares) == len(recordings):  # else rates and noise of the others may be unlike
+        durations = [r.duration for r in recordings]
         floor = np.asarray(np.sqrt(np.average(squares, axis=0, weights=durations)))
         source = "period_to_period"
     else:

@@ -65,6 +65,14 @@ def test_the_noise_floor_is_the_noise_that_was_added(fit, seconds, source):
     np.testing.assert_allclose(comparison.noise_floor, white_through_filter(0.4, 6.0), rtol=0.12)
 
 
+def test_the_noise_floor_of_recordings_with_unlike_noise_is_that_of_all(fit):
+    """The longer one is periodic and has little noise."""
+    runs = [arm.recording(t, seed=1, noise=x) for t, x in ((30.0, 0.1), (10.0, 0.6))]
+    mean = np.sqrt((29.0 * 0.1**2 + 9.0 * 0.6**2) / 38.0)
+    floor = lieid.compare(fit, runs).noise_floor
+    np.testing.assert_allclose(floor, white_through_filter(mean, 6.0), rtol=0.12)
+
+
 def test_training_recordings_give_the_training_error():
     train = [arm.recording(20.0, seed=s, noise=0.2, name=f"run {s}") for s in (3, 4)]
     fit = arm.fit(*train)
