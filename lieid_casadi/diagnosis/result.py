@@ -142,6 +142,11 @@ class Diagnosis:
         """The verdict, one sentence for each finding and each unexplained part."""
         parts = [event.sentence for event in self.events]
         parts += [finding(group, self.mode) for group in findings(self.steps, self.mode)]
+        own = {placement.label for placement in self.fit.model.placements}
+        new = [step.label for step in self.steps if step.joints and step.label not in own]
+        if new and self.mode == "changed":
+            lacked = f"The fit does not model {join_words(new)}"
+            parts.append(f"{lacked}; what its recordings hardly show may have acted before.")
         if self.verdict == "sufficient" and self.mode == "missing":
             parts.append("No effect lowers the error of data that its choice did not see.")
         elif self.verdict == "sufficient":

@@ -43,3 +43,13 @@ def test_friction_that_changed_on_several_joints_is_one_finding(fit):
     assert sorted(step.label for step in found.steps) == ["coulomb:2", "coulomb:4", "coulomb:5"]
     assert {step.group for step in found.steps} == {1}
     assert found.sentence.count("Dry friction on joints 2, 4 and 5 has increased") == 1
+    assert "does not model" not in found.sentence
+
+
+def test_what_the_fit_does_not_model_may_have_acted_before(fit):
+    run = recording(3)
+    square = np.zeros(7)
+    square[3] = 1.0
+    found = lieid.diagnose(fit, replace(run, tau=run.tau + square * run.dq * np.abs(run.dq)))
+    assert [step.label for step in found.steps] == ["viscous_polynomial:4"]
+    assert "The fit does not model viscous_polynomial:4; what its recordings" in found.sentence
