@@ -167,10 +167,10 @@ def _band(dq: Array, rate: float, *, rounding: Array | None = None) -> float | N
         noise = gain[:, None] * rounding[moves] * 2.0 / rate
         # the estimated density scatters about that of the noise: bins within it are noise
         density = np.where(density > 4.0 * noise, density - noise, 0.0)
-        if not (density.sum(axis=0) > 0.0).all():
-            return None
+    if not (density[1:].sum(axis=0) > 0.0).all():  # shorter than a period, or of one speed
+        return None
     below = np.cumsum(density, axis=0) / density.sum(axis=0)
-    return float(np.median(frequency[np.argmax(below >= 0.99, axis=0)]))
+    return float(max(np.median(frequency[np.argmax(below >= 0.99, axis=0)]), frequency[1]))
 
 
 def noise_dead_zone(dq: Array, *, kept: float = 1.0, quantum: Array | None = None) -> Array:

@@ -1,4 +1,5 @@
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,6 +118,21 @@ def test_segments_too_short_for_trimming():
     with pytest.raises(RecordingError, match=r"planar: 0 to 0\.995 s is too short: 0 s remain"):
         process(measured(duration=1.0), Processing(cutoff=5.0))
     assert one(measured(duration=1.0), cutoff=5.0, trim=0.1)
+
+
+@pytest.mark.parametrize("velocities", [True, False])
+def test_recordings_far_too_short_are_refused(velocities):
+    whole = sines(1.0, rate=20_000.0, duration=0.004)
+    with pytest.raises(RecordingError, match=r"too short: .* expected 0\.2 s or more"):
+        process(whole if velocities else replace(whole, dq=None))
+
+
+@pytest.mark.parametrize("velocities", [True, False])
+def test_one_constant_speed_is_processed(velocities):
+    t = np.arange(0.0, 20.0, 0.005)
+    whole = Recording.from_arrays(t, 0.3 * t[:, None], np.full((t.size, 1), 0.3))
+    (p,) = process(whole if velocities else replace(whole, dq=None))
+    np.testing.assert_allclose(p.dq, 0.3, rtol=1e-9)
 
 
 def test_a_cutoff_that_the_rate_cannot_show():
