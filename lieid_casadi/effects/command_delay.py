@@ -10,7 +10,7 @@ PARTS = 4  # of a hold, in which a limited law has different torques
 BUS, BUS_SPREAD = 0.005, 0.02  # s, what bus and drive add to the hold of a command
 
 
-def known_delay(rate: float, drive: Drive | None, torque: float) -> tuple[float, float]:
+def known_delay(rate: float, drive: Drive | None) -> tuple[float, float]:
     """Return mean and standard deviation of a delay, s, of commands that are held at a rate, Hz."""
     return 0.5 / rate + BUS, BUS_SPREAD
 

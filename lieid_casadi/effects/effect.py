@@ -113,9 +113,8 @@ class Coefficient:
     limit : float
         Size that no real arm exceeds, also of a change. A diagnosis names no larger value.
     prior : callable, optional
-        Mean and standard deviation that are known before any data, from the sampling rate, Hz, the
-        control law of the joint's drive, and the RMS of the joint's torque, N·m; None if they are
-        not known.
+        Mean and standard deviation that are known before any data, from the sampling rate, Hz, and
+        the control law of the joint's drive; None if they are not known.
     """
 
     name: str
@@ -126,7 +125,7 @@ class Coefficient:
     resolved_by: Literal["", "sample_time", "lead"] = ""
     opposes_motion: bool = False
     limit: float = np.inf
-    prior: Callable[[float, Drive | None, float], tuple[float, float] | None] | None = None
+    prior: Callable[[float, Drive | None], tuple[float, float] | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -231,6 +230,9 @@ class Effect(ABC):
         The variants of the effect: option → one sentence.
     free_options : bool
         Whether ``options`` are examples, and the class refuses by itself what it cannot be.
+    orthonormal : bool
+        Whether the columns are orthonormal over the range of the data, so that the coefficients
+        have one size, by which those that the data hardly determine are held.
     replaces : tuple of str
         Effects whose place this one takes; a model normally has one or the other.
     accompanied_by : tuple of str
@@ -276,6 +278,7 @@ class Effect(ABC):
     option: str = ""
     options: ClassVar[Mapping[str, str]] = {}
     free_options: ClassVar[bool] = False
+    orthonormal: ClassVar[bool] = False
     replaces: tuple[str, ...] = ()
     accompanied_by: tuple[str, ...] = ()
     counted_as: tuple[str, ...] = ()

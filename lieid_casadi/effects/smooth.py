@@ -22,7 +22,6 @@ from lieid_casadi.effects.effect import (
 )
 from lieid_casadi.effects.registry import register
 from lieid_casadi.errors import EffectError
-from lieid_casadi.robot.drive import Drive
 
 #: Signal → field of `Signals`, unit, range before any data.
 SIGNALS: dict[str, tuple[str, str, float]] = {
@@ -42,7 +41,6 @@ GRID, PAIR_GRID = 1000, 40  # points over each of one or two ranges where functi
 PAIR_REACH = 1.15  # radius in half ranges that two signals together reach: not their corners
 LEAST_ALONE, LEAST_TOGETHER = 1e-6, 5e-4  # part of the variance that a further function adds
 LARGEST = 1e4  # end of a range, in units of the signal
-PART, SMALLEST = 0.1, 1e-9  # standard deviation of a coefficient: of the torque; at least, N·m
 ROUNDING = 1e-12  # of the largest: smaller numbers of a combination are zeros (odd and even parts)
 
 
@@ -62,15 +60,6 @@ class _Signal:
     def removed(self) -> bool:
         """Whether the model describes what is linear in it: friction, inertia, a gain."""
         return self.joint is None and self.name in ("dq", "ddq", "load")
-
-
-def within_the_torque(rate: float, drive: Drive | None, torque: float) -> tuple[float, float]:
-    """Return mean and standard deviation of a coefficient: a part of the torque.
-
-    A function of the angle resembles gravity: their difference, which the recordings do not
-    determine, would be in both, and large.
-    """
-    return 0.0, max(PART * torque, SMALLEST)
 
 
 @register
@@ -103,7 +92,7 @@ class Smooth(Effect):
         "q.dq": "of angle and velocity; any other two signals likewise, as in smooth/dq.q5, or the "
         "torque of another joint, smooth/tau5: in proportion to its load, dry and viscous friction",
     }
-    free_options = True
+    free_options = orthonormal = True
     candidate = False
     revealed_by = "motion through the whole range of the signals, each at several values of others"
     confused_with = {
@@ -125,12 +114,7 @@ class Smooth(Effect):
         )
         count = 3 + whole if self._of_torque else self._combination.shape[1]
         self.coefficients = tuple(
-            Coefficient(
-                f"c{k + 1}",
-                "N·m",
-                meaning=f"of the orthonormal function φ_{k + 1}",
-                prior=within_the_torque,
-            )
+            Coefficient(f"c{k + 1}", "N·m", meaning=f"of the orthonormal function φ_{k + 1}")
             for k in range(count)
         )
         self.shapes = tuple(shape for s in self._signals for shape in _range_of(s))

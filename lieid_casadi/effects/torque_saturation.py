@@ -9,7 +9,7 @@ from lieid_casadi.robot.drive import Drive
 KNOWN = 1e-3  # relative standard deviation of a stiffness that the drive's law states
 
 
-def stiffness_of_law(rate: float, drive: Drive | None, torque: float) -> tuple[float, float] | None:
+def stiffness_of_law(rate: float, drive: Drive | None) -> tuple[float, float] | None:
     """Return the stiffness of the drive, which the limit of its torque does not change."""
     return None if drive is None else (drive.stiffness, KNOWN * drive.stiffness)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.signal import welch
+from scipy.stats import median_abs_deviation
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.recording.conversion import is_torque_of_laws
@@ -58,7 +59,7 @@ def choose_cutoff(recording: Recording) -> float:
     highest = 0.25 * longest.rate
     band = motion_band(longest)
     if band is None:
-        return _two_digits(min(5.0, highest), highest)
+        return min(5.0, highest)
     if late_velocities(longest, min(LEAST_BANDS * band, highest)).any():
         longest = replace(longest, dq=None)  # filtered: accelerations are derived from positions
     explained, accurate = _explained_bands(longest) or (LEAST_BANDS * band, np.inf)
@@ -66,11 +67,7 @@ def choose_cutoff(recording: Recording) -> float:
     if longest.drives is not None and is_torque_of_laws(longest, longest.drives):
         accurate = min(accurate, _accurate_band(longest, band))
     cutoff = min(cutoff, max(accurate, LEAST_ACCURATE * band))
-    return _two_digits(float(np.clip(cutoff, min(0.5, highest), highest)), highest)
-
-
-def _two_digits(value: float, highest: float) -> float:
-    return min(float(f"{value:.2g}"), highest)
+    return min(float(f"{np.clip(cutoff, min(0.5, highest), highest):.2g}"), highest)
 
 
 def _accurate_band(recording: Recording, band: float) -> float:
@@ -195,8 +192,7 @@ def noise_spread(x: Array) -> Array:
     if x.shape[0] <= 8:
         return np.zeros(x.shape[1])
     fourth = np.diff(x, n=4, axis=0)
-    spread = 1.4826 * np.median(np.abs(fourth - np.median(fourth, axis=0)), axis=0)
-    return np.asarray(spread / np.sqrt(70.0))
+    return np.asarray(median_abs_deviation(fourth, scale="normal") / np.sqrt(70.0))
 
 
 def resolution(values: Array) -> Array:

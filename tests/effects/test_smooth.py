@@ -195,3 +195,21 @@ def test_a_whole_function_contains_a_constant_and_what_is_linear_in_its_signals(
         )
     assert rest[True] < 0.03
     assert rest[False] > 0.3
+
+
+def test_what_a_function_cannot_describe_does_not_spoil_other_motion():
+    """Of two signals a motion shows a curve alone, on which large coefficients cancel each other.
+
+    A narrow bump along the angle of joint 2 is in no function of both angles with few splines.
+    """
+    robot, none = lieid.robots.two_link(), plant.JointFriction(*np.zeros((3, 2)))
+    bump = plant.ForeignTorque(1, function=lambda s: 1.0 / (1.0 + (20.0 * s.q[..., 1] - 4.0) ** 2))
+    arm = plant.Arm(robot, robot.link_parameters, none).with_effects(bump)
+    ratios = []
+    for seed in range(5):
+        train, other = (measured(arm, s, seconds=16.0, step=0.005) for s in (seed, seed + 10))
+        models = (lieid.Model(robot, effects) for effects in ("offset", "offset,smooth/q.q1:2"))
+        fits = (lieid.identify(model, train) for model in models)
+        plain, fitted = (lieid.compare(fit, other).rms[1] for fit in fits)
+        ratios.append(fitted / plain)
+    assert np.exp(np.mean(np.log(ratios))) < 1.4, ratios

@@ -26,6 +26,7 @@ from lieid_casadi.identification.regression.least_squares import (
     JointRows,
     Rows,
     combine,
+    size_of_function,
 )
 from lieid_casadi.identification.regression.segment_columns import (
     effect_signals,
@@ -44,6 +45,7 @@ ColumnKey = tuple[int, int | tuple[str, str | bytes]]
 #: Filtered columns (M,), those of a grid (M, G, c), of one segment. Models of one robot with
 #: different effects share most.
 FilteredColumns = dict[ColumnKey, Array]
+LARGER, LEAST = 2.0, 1e-6  # a function's coefficients, in their size if equal, and in torque
 LOAD_STEP = 1e-4  # of the largest torque, for derivatives by the load
 REVERSAL = 0.5  # periods of the cut-off frequency, for which the filter mixes a reversal with rows
 
@@ -492,18 +494,26 @@ def known_before(factor: Factor, design: Design, *, of_effects: bool) -> Array:
     model, rate = design.model, design.segments[0].recording.rate
     laws = model.robot.drives or (None,) * model.n
     taus = [s.tau for s in design.segments if s.tau is not None]
-    torque = np.sqrt(np.mean(np.concatenate(taus) ** 2, axis=0))
     own = [(p, c) for p in model.placements for c in p.effect.coefficients]
-    largest, size = max(float(torque.max()), 1e-6), np.linalg.norm(factor.r, axis=0)
+    largest = max(float(np.mean(np.concatenate(taus) ** 2, axis=0).max() ** 0.5), 1e-6)
+    size = np.linalg.norm(factor.r, axis=0)
     of_links = np.flatnonzero(model.base.kept < 10 * model.n)
     rows = np.zeros((model.base.count, factor.r.shape[1]))
     _, sums = np.linalg.qr(model.base.combination[of_links].T)  # squared: their covariance
     rows[np.ix_(of_links, of_links)] = np.linalg.inv(sums.T) * -STANDARD_GRAVITY[2] / largest
+    functions: dict[str, list[int]] = {}
     for k in np.flatnonzero(model.base.kept >= 10 * model.n):
         placement, coefficient = own[model.base.kept[k] - 10 * model.n]
-        joint, prior = placement.joint, coefficient.prior
-        unknown = (0.0, largest) if size[k] <= NO_TORQUE * size.max() else None
-        known = prior(rate, laws[joint], float(torque[joint])) if prior and of_effects else unknown
-        if known is not None:
-            rows[k, k], rows[k, -1] = 1.0 / known[1], known[0] / known[1]
+        prior = coefficient.prior if of_effects else None
+        if of_effects and placement.effect.orthonormal:
+            functions.setdefault(placement.label, []).append(int(k))
+            rows[k, k] = 1.0 / largest
+        elif prior or size[k] <= NO_TORQUE * size.max():
+            known = prior(rate, laws[placement.joint]) if prior else (0.0, largest)
+            if known is not None:
+                rows[k, k], rows[k, -1] = 1.0 / known[1], known[0] / known[1]
+    independent = factor.r / np.sqrt(rows_per_independent(design.segments[0]))
+    for together in functions.values():
+        spread = LARGER * size_of_function(np.vstack([independent, rows]), np.array(together))
+        rows[together, together] = 1.0 / np.clip(spread, LEAST * largest, largest)
     return rows

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.stats import median_abs_deviation
 
 from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.compiled.triangular_factors import Triangle, triangular
@@ -279,7 +280,8 @@ def robust(rows: Rows, noise: Array) -> Weighting:
     least = _least_noise(rows)
     for _ in range(ITERATIONS):
         residuals = rows.residuals(values)
-        noise = np.array([max(_mad(e), least) if len(e) else 1.0 for e in residuals])
+        spread = [median_abs_deviation(e, scale="normal") if len(e) else 1.0 for e in residuals]
+        noise = np.maximum(spread, least)
         # rows are multiplied by the square root of Huber's weight over the joint's noise
         weights = [
             np.sqrt(np.minimum(1.0, HUBER * s / np.maximum(np.abs(e), SMALLEST_NOISE))) / s
@@ -300,10 +302,13 @@ ESTIMATORS = {"ols": ols, "wls": wls, "robust": robust}
 
 def _noise(factors: list[Factor], values: Array, rows: Rows) -> Array:
     """Return each joint's residual standard deviation (n,); 1 where a joint has no rows."""
-    noise, least = [], _least_noise(rows)
+    noise, least, uses = [], _least_noise(rows), np.zeros(rows.count)
+    for joint in rows.joints:
+        uses[joint.columns] += len(joint.torque)
     for factor, joint in zip(factors, rows.joints, strict=True):
         # parameters are shared between joints: each joint has its part of their number
-        share = len(joint.columns) * factor.rows / max(_uses(rows, joint.columns), 1)
+        mean = float(uses[joint.columns].sum()) / max(len(joint.columns), 1)
+        share = len(joint.columns) * factor.rows / max(mean, 1.0)
         freedom = max(factor.rows - share, 1.0)
         size = np.sqrt(factor.misfit(values) / freedom) if factor.rows else 1.0
         noise.append(max(float(size), least))
@@ -316,18 +321,19 @@ def _least_noise(rows: Rows) -> float:
     return max(LEAST_NOISE * float(rms), SMALLEST_NOISE)
 
 
-def _uses(rows: Rows, columns: Indices) -> float:
-    """Return the mean number of rows in which these columns appear."""
-    total = np.zeros(rows.count)
-    for joint in rows.joints:
-        total[joint.columns] += len(joint.torque)
-    return float(np.mean(total[columns])) if len(columns) else 1.0
-
-
 def row_weights(rows: Rows, per_joint: Array) -> tuple[Array, ...]:
     """Return one weight per row (R,) of each joint, from one per joint (n,)."""
     return tuple(np.full(length, w) for length, w in zip(rows.lengths, per_joint, strict=True))
 
 
-def _mad(residual: Array) -> float:
-    return float(1.4826 * np.median(np.abs(residual - np.median(residual))))
+def size_of_function(rows: Array, own: Indices) -> float:
+    """Return the size of coefficients of orthonormal functions: what they explain over the columns.
+
+    ``rows`` (R, p + 1) are equations [matrix | torque], of which both are what other parameters do
+    not explain. Coefficients of this size have a torque as large as what they explain; larger ones
+    cancel each other on these rows, and do not on others.
+    """
+    others = np.setdiff1d(np.arange(rows.shape[1] - 1), own)
+    triangle = np.linalg.qr(rows[:, np.concatenate([others, own, [-1]])]).R
+    outside = triangle[len(others) : -1, len(others) :]
+    return float(np.linalg.norm(outside[:, -1]) / np.linalg.norm(outside[:, :-1]))
