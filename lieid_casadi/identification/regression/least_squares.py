@@ -327,11 +327,10 @@ def row_weights(rows: Rows, per_joint: Array) -> tuple[Array, ...]:
 
 
 def size_of_function(rows: Array, own: Indices) -> float:
-    """Return the size of coefficients of orthonormal functions: what they explain over the columns.
+    """Return the size at which coefficients, if all are equal, have the torque that they explain.
 
-    ``rows`` (R, p + 1) are equations [matrix | torque], of which both are what other parameters do
-    not explain. Coefficients of this size have a torque as large as what they explain; larger ones
-    cancel each other on these rows, and do not on others.
+    ``rows`` (R, p + 1) are equations [matrix | torque], of which both are what the other parameters
+    do not explain. Larger coefficients cancel each other on these rows, and do not on others.
     """
     others = np.setdiff1d(np.arange(rows.shape[1] - 1), own)
     triangle = np.linalg.qr(rows[:, np.concatenate([others, own, [-1]])]).R
