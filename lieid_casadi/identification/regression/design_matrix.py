@@ -45,7 +45,9 @@ ColumnKey = tuple[int, int | tuple[str, str | bytes]]
 #: Filtered columns (M,), those of a grid (M, G, c), of one segment. Models of one robot with
 #: different effects share most.
 FilteredColumns = dict[ColumnKey, Array]
-LARGER, LEAST = 2.0, 1e-6  # a function's coefficients, in their size if equal, and in torque
+#: Standard deviation of a smooth function's coefficients before any data, in `size_of_function`;
+#: at least, of the largest torque.
+LARGER, LEAST = 2.0, 1e-6
 LOAD_STEP = 1e-4  # of the largest torque, for derivatives by the load
 REVERSAL = 0.5  # periods of the cut-off frequency, for which the filter mixes a reversal with rows
 
@@ -489,7 +491,8 @@ def known_before(factor: Factor, design: Design, *, of_effects: bool) -> Array:
 
     Moments of links are what gravity turns into the largest torque, or less, and inertia is as
     large; base parameters are their sums. Single joints in motion show few of them. What no row
-    shows is at most that torque. ``of_effects`` adds the priors of effects' coefficients.
+    shows is at most that torque. ``of_effects`` adds the priors of effects' coefficients;
+    those of a function are as large together as what they explain.
     """
     model, rate = design.model, design.segments[0].recording.rate
     laws = model.robot.drives or (None,) * model.n
