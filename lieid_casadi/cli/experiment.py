@@ -70,7 +70,7 @@ def run(args: Args) -> output.Outcome:
     if page is not None:
         shown_by: Any = nullcontext(page.progress)
     else:  # a bar would hide the question
-        shown_by = output.progress("experiment") if args.yes else nullcontext(_silent)
+        shown_by = output.progress("experiment") if args.yes else nullcontext(lambda *_: None)
     asked = None if args.yes else _confirmed
     try:
         with shown_by as report:
@@ -96,10 +96,6 @@ def run(args: Args) -> output.Outcome:
     return output.Outcome(
         tuple(shown(result)), json=result.to_dict(), html=lambda: experiment_report(result)
     )
-
-
-def _silent(stage: str, fraction: float) -> None:
-    """Show no progress."""
 
 
 def _confirmed(motion: PlannedMotion) -> bool:

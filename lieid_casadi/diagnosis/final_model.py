@@ -20,8 +20,9 @@ from lieid_casadi.identification.regression.cross_validation import (
     cross_validated_rms,
     fold_factors,
 )
-from lieid_casadi.identification.regression.design_matrix import Design, follows_load, with_priors
+from lieid_casadi.identification.regression.design_matrix import Design, follows_load
 from lieid_casadi.identification.regression.least_squares import Factor, Rows, combine
+from lieid_casadi.identification.regression.priors import with_priors
 from lieid_casadi.recording import Processed
 
 

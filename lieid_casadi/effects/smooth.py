@@ -130,7 +130,9 @@ class Smooth(Effect):
             value = getattr(source, SIGNALS[signal.name][0])
             place, within = _place(signal, value, source.sign, shape)
             if self._of_torque:
-                own = _part_of_torque(signal.name, place, source.sign)
+                own = [np.sqrt(3) * (2 * place - 1)]  # orthonormal over the range
+                if signal.name != "load":
+                    own = [source.sign, source.sign * own[0]]
             else:
                 own = _basis(signal.name, place, source.sign, names)
             functions.append([within * function for function in own])
@@ -213,12 +215,6 @@ def _basis(name: str, place: ca.SX, sign: ca.SX, names: Sequence[str]) -> list[c
         return _splines(place, FRICTION_KNOTS)
     alone = LOAD_KNOTS if name == "load" else KNOTS
     return _splines(place, PAIR_KNOTS if paired else alone)
-
-
-def _part_of_torque(name: str, place: ca.SX, sign: ca.SX) -> list[ca.SX]:
-    """Return a joint's load, or its dry and viscous friction, orthonormal over their ranges."""
-    centred = np.sqrt(3) * (2 * place - 1)
-    return [centred] if name == "load" else [sign, sign * centred]
 
 
 def _splines(place: ca.SX, count: int) -> list[ca.SX]:

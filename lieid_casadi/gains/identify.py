@@ -217,17 +217,12 @@ def check_input(model: Model, empty: Sequence[Recording], full: Sequence[Recordi
             )
     for one in empty:
         for other in full:
-            if _overlap(one, other):
+            same = bool(one.source_hash) and one.source_hash == other.source_hash
+            if same and one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1]:
                 raise IdentificationError(
                     f"{other.name or 'recording'}: given as unloaded and as loaded; expected "
                     "different recordings"
                 )
-
-
-def _overlap(one: Recording, other: Recording) -> bool:
-    """Return whether two recordings share rows of one file."""
-    same = bool(one.source_hash) and one.source_hash == other.source_hash
-    return bool(same and one.t[0] <= other.t[-1] and other.t[0] <= one.t[-1])
 
 
 WEAK = 0.1  # relative standard deviation above which a gain is reported as not identified

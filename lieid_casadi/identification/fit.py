@@ -341,7 +341,7 @@ def parameter_table(fit: Fit) -> Table:
             row["expression"],
             row["value"],
             row["std"],
-            100.0 * row["std"] / abs(row["value"]) if row["value"] and row["std"] else None,
+            100.0 * row["relative_std"] if row["relative_std"] else None,
             row["unit"],
         )
         for row in fit.parameter_table()

@@ -235,13 +235,6 @@ def rms(errors: Sequence[Array]) -> Array:
     return np.array([np.sqrt(np.mean(e**2)) if len(e) else np.nan for e in errors])
 
 
-def _too_uncertain(values: Array, std: Array) -> Mask:
-    """Mark quantities (10,) whose uncertainty exceeds their size; without mass, all others too."""
-    unknown = ~(std <= _sizes(values))
-    unknown[1:] |= _no_mass(values, std)
-    return unknown
-
-
 def _no_mass(values: Array, std: Array) -> bool:
     return not abs(values[0]) > INSIGNIFICANT * std[0]
 
@@ -450,7 +443,8 @@ def _result(fit: Fit, run: LoadedRun, estimate: LoadedRunEstimate) -> PayloadEst
     else:
         identifiable[:] = False
     not_identified = _not_identified(values, std, identifiable, hidden)
-    unknown = ~identifiable | _too_uncertain(values, std)
+    unknown = ~identifiable | ~(std <= _sizes(values))
+    unknown[1:] |= _no_mass(values, std)
     return PayloadEstimate(
         robot=fit.model.robot.name,
         frame=_frame(fit.model.robot),

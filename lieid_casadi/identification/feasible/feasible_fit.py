@@ -30,13 +30,10 @@ from lieid_casadi.identification.feasible.problem import (
     reference_bodies,
 )
 from lieid_casadi.identification.regression.cross_validation import Fold, cross_validated_rms
-from lieid_casadi.identification.regression.design_matrix import (
-    Design,
-    varying_columns,
-    with_priors,
-)
+from lieid_casadi.identification.regression.design_matrix import Design, varying_columns
 from lieid_casadi.identification.regression.fixed_point import DelaySteps, FitState, has_settled
 from lieid_casadi.identification.regression.least_squares import Factor, stacked
+from lieid_casadi.identification.regression.priors import with_priors
 from lieid_casadi.recording import Processed
 from lieid_casadi.robot import Robot
 

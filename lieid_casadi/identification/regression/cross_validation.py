@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from lieid_casadi.arrays import Array
-from lieid_casadi.identification.regression.design_matrix import Design, with_priors
+from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import (
     Factor,
     Rows,
     combine,
     independent_axes,
 )
+from lieid_casadi.identification.regression.priors import with_priors
 
 Estimate = Callable[[Factor], Array]
 FOLDS = 3

@@ -20,14 +20,7 @@ from lieid_casadi.compiled.compiled_model import Part
 from lieid_casadi.effects import ArmEffect, Effect, Placement
 from lieid_casadi.effects.command_delay import CommandDelay
 from lieid_casadi.expressions.effect_function import EffectFunction
-from lieid_casadi.identification.regression.least_squares import (
-    NO_TORQUE,
-    Factor,
-    JointRows,
-    Rows,
-    combine,
-    size_of_function,
-)
+from lieid_casadi.identification.regression.least_squares import JointRows, Rows
 from lieid_casadi.identification.regression.segment_columns import (
     effect_signals,
     filtered_columns,
@@ -37,7 +30,6 @@ from lieid_casadi.identification.regression.segment_columns import (
 from lieid_casadi.model import Model
 from lieid_casadi.recording.filtering import Window
 from lieid_casadi.recording.processed import Processed
-from lieid_casadi.robot.description import STANDARD_GRAVITY
 
 #: A column on a joint: the joint, and a link parameter, or a placed effect and its coefficient;
 #: or those of a placed effect at values of its shapes, whose bytes are in place of a coefficient.
@@ -45,9 +37,6 @@ ColumnKey = tuple[int, int | tuple[str, str | bytes]]
 #: Filtered columns (M,), those of a grid (M, G, c), of one segment. Models of one robot with
 #: different effects share most.
 FilteredColumns = dict[ColumnKey, Array]
-#: Standard deviation of a smooth function's coefficients before any data, in `size_of_function`;
-#: at least, of the largest torque.
-LARGER, LEAST = 2.0, 1e-6
 LOAD_STEP = 1e-4  # of the largest torque, for derivatives by the load
 REVERSAL = 0.5  # periods of the cut-off frequency, for which the filter mixes a reversal with rows
 
@@ -125,7 +114,8 @@ def motion_columns(
     All but structural zeros and the ``varying`` columns; those that are not ``known`` are added.
     """
     signals = effect_signals(segment, compiled.model.initial_shapes, None)
-    meanings = _meanings(compiled.model)
+    effects = [(p.label, c.name) for p in compiled.model.placements for c in p.effect.coefficients]
+    meanings: list[int | tuple[str, str]] = [*range(10 * compiled.n), *effects]
     keys: list[list[ColumnKey]] = [[] for _ in range(compiled.n)]
     parts: tuple[Part, ...] = ("base_links", "base_effects")  # those of the links are often known
     for part in parts:
@@ -144,7 +134,7 @@ def motion_columns(
         places = ((j, k) for j, columns in enumerate(blocks.columns) for k in columns)
         for entry, (j, k) in enumerate(places):
             if k not in varying:
-                keys[j].append((j, meanings[k]))
+                keys[j].append((j, meanings[compiled.model.base.kept[k]]))
                 if keys[j][-1] not in known:
                     missing[keys[j][-1]] = entry
         if missing:
@@ -165,13 +155,6 @@ def _filtered(segment: Processed, blocks: BaseBlocks, entries: list[int], thread
 
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         return np.concatenate(list(pool.map(evaluated, segment.windows)), axis=1)
-
-
-def _meanings(model: Model) -> list[int | tuple[str, str]]:
-    """Return the link parameter, or the placed effect and coefficient, of each base column."""
-    effects = [(p.label, c.name) for p in model.placements for c in p.effect.coefficients]
-    every = [*range(10 * model.n), *effects]
-    return [every[k] for k in model.base.kept]
 
 
 @dataclass(frozen=True, eq=False)
@@ -469,54 +452,3 @@ def rows_per_independent(segment: Processed) -> float:
     time = segment.filtered_time
     rate = 1.0 / (time[1] - time[0]) if len(time) > 1 else 1.0
     return float(max(1.0, rate / (2.0 * segment.cutoff)))
-
-
-def with_priors(factor: Factor, design: Design) -> Factor:
-    """Return a factor of rows in units of the noise, with those of what is known before any data.
-
-    A prior counts as one independent row; filtered rows that depend on each other count as more
-    than they are, and the prior by the same factor.
-    """
-    return with_rows(factor, design, known_before(factor, design, of_effects=True))
-
-
-def with_rows(factor: Factor, design: Design, known: Array) -> Factor:
-    """Return a factor with rows (k, p + 1) that each count as one independent row."""
-    counted = np.sqrt(rows_per_independent(design.segments[0])) * known
-    return combine([factor, Factor(counted, 0)], np.ones(2))
-
-
-def known_before(factor: Factor, design: Design, *, of_effects: bool) -> Array:
-    """Return rows (k, p + 1) of what parameters may be before any data, in units of that.
-
-    Moments of links are what gravity turns into the largest torque, or less, and inertia is as
-    large; base parameters are their sums. Single joints in motion show few of them. What no row
-    shows is at most that torque. ``of_effects`` adds the priors of effects' coefficients;
-    those of a function are as large together as what they explain.
-    """
-    model, rate = design.model, design.segments[0].recording.rate
-    laws = model.robot.drives or (None,) * model.n
-    taus = [s.tau for s in design.segments if s.tau is not None]
-    own = [(p, c) for p in model.placements for c in p.effect.coefficients]
-    largest = max(float(np.mean(np.concatenate(taus) ** 2, axis=0).max() ** 0.5), 1e-6)
-    size = np.linalg.norm(factor.r, axis=0)
-    of_links = np.flatnonzero(model.base.kept < 10 * model.n)
-    rows = np.zeros((model.base.count, factor.r.shape[1]))
-    _, sums = np.linalg.qr(model.base.combination[of_links].T)  # squared: their covariance
-    rows[np.ix_(of_links, of_links)] = np.linalg.inv(sums.T) * -STANDARD_GRAVITY[2] / largest
-    functions: dict[str, list[int]] = {}
-    for k in np.flatnonzero(model.base.kept >= 10 * model.n):
-        placement, coefficient = own[model.base.kept[k] - 10 * model.n]
-        prior = coefficient.prior if of_effects else None
-        if of_effects and placement.effect.orthonormal:
-            functions.setdefault(placement.label, []).append(int(k))
-            rows[k, k] = 1.0 / largest
-        elif prior or size[k] <= NO_TORQUE * size.max():
-            known = prior(rate, laws[placement.joint]) if prior else (0.0, largest)
-            if known is not None:
-                rows[k, k], rows[k, -1] = 1.0 / known[1], known[0] / known[1]
-    independent = factor.r / np.sqrt(rows_per_independent(design.segments[0]))
-    for together in functions.values():
-        spread = LARGER * size_of_function(np.vstack([independent, rows]), np.array(together))
-        rows[together, together] = 1.0 / np.clip(spread, LEAST * largest, largest)
-    return rows

@@ -10,11 +10,7 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.effects import ArmEffect
 from lieid_casadi.effects.command_delay import CommandDelay
-from lieid_casadi.identification.regression.design_matrix import (
-    Design,
-    varying_columns,
-    with_priors,
-)
+from lieid_casadi.identification.regression.design_matrix import Design, varying_columns
 from lieid_casadi.identification.regression.least_squares import (
     ESTIMATORS,
     LeastSquaresSolution,
@@ -23,6 +19,7 @@ from lieid_casadi.identification.regression.least_squares import (
     ols,
     solve,
 )
+from lieid_casadi.identification.regression.priors import with_priors
 from lieid_casadi.identification.regression.shape_refinement import refine_shapes
 from lieid_casadi.identification.regression.shape_scan import ShapeScan
 from lieid_casadi.identification.regression.variable_projection import (
@@ -61,7 +58,10 @@ def fixed_point(
     convergence they are scanned again; the fit is done when the scan finds nothing better.
     """
     model = design.model
-    shapes, links = _with_data_ranges(design, held_shapes), None
+    links, shapes = None, shapes_of_data(model, design.segments)
+    values = model.initial_shapes if held_shapes is None else held_shapes
+    given = np.isnan(shapes) | (held_shapes is not None and np.isfinite(values))
+    shapes = np.where(given, values, shapes)
     searched = held_shapes is None and any(s.fitted for s in model.shapes)
     search = _Search(design) if searched else None
     iterate = bool(varying_columns(model).any())
@@ -133,14 +133,6 @@ def _state(
         solution = replace(solve(weighting.factor), unexcited=solution.unexcited)
     parameters = design.model.base.lift(solution.values, nominal_parameters(design.model))
     return FitState(shapes, rows, weighting, solution, parameters)
-
-
-def _with_data_ranges(design: Design, held: Array | None) -> Array:
-    """Return the shapes (s,) to start from, with those that the recordings give."""
-    data = shapes_of_data(design.model, design.segments)
-    values = design.model.initial_shapes if held is None else held
-    given = np.isnan(data) | (held is not None and np.isfinite(values))
-    return np.where(given, values, data)
 
 
 def nominal_parameters(model: Model) -> Array:

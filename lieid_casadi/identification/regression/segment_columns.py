@@ -16,7 +16,7 @@ from lieid_casadi.effects.arm_effect import ArmEffect
 from lieid_casadi.effects.command_delay import CommandDelay, held_for
 from lieid_casadi.effects.torque_saturation import TorqueSaturation
 from lieid_casadi.expressions.effect_function import EffectFunction, sign_of
-from lieid_casadi.model import Model, Slot
+from lieid_casadi.model import Model
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.processed import Processed
 from lieid_casadi.robot import Drive
@@ -148,7 +148,9 @@ class ModelAlongSegment:
     def arm_columns(self) -> dict[int, Array]:
         """Return the columns (K, n) of effects on the whole arm, by their positions."""
         found: dict[int, Array] = {}
-        for slot, effect in _arm_effects(self.compiled.model):
+        for slot in self.compiled.model.slots:
+            if not isinstance(effect := slot.placement.effect, ArmEffect):
+                continue
             values = np.concatenate([self.coefficients[slot.columns], self.shapes[slot.shapes]])
             columns = effect.segment_columns(self, slot.placement.joint, values)
             found |= {slot.columns.start + i: columns[..., i] for i in range(columns.shape[2])}
@@ -164,12 +166,6 @@ class ModelAlongSegment:
         """Return the rigid torque (K, n, 10) per link parameter of a body in the tool's frame."""
         last = self.compiled.regressor(*self.motion)[:, :, -10:]
         return np.asarray(last @ parameter_transport(self.compiled.model.robot.tool))
-
-
-def _arm_effects(model: Model) -> list[tuple[Slot, ArmEffect]]:
-    """Return the effects on the whole arm with the places of their columns."""
-    both = ((slot, slot.placement.effect) for slot in model.slots)
-    return [(slot, effect) for slot, effect in both if isinstance(effect, ArmEffect)]
 
 
 @lru_cache(maxsize=8)

@@ -139,7 +139,8 @@ class SeparableProblem:
         basis, triangle = np.linalg.qr(columns / scale)
         reduced = basis.T @ target
         free = np.linalg.lstsq(triangle, reduced, rcond=RANK_TOLERANCE)[0] / scale
-        if self._within_bounds(free):
+        lower, upper = self.bounds or (-np.inf, np.inf)
+        if np.all((free >= lower) & (free <= upper)):
             return ProjectedSolution(free, target - basis @ reduced, basis)
         return self._solve_bounded(columns, target, np.where(np.isinf(scale), 1.0, scale))
 
@@ -151,12 +152,6 @@ class SeparableProblem:
         """Return ∂residual/∂shapes ≈ −(1 − QQᵀ)·(∂columns/∂shapes)·c (R, s), after Kaufman."""
         slopes = forward_differences(self.columns, self.ranges, shapes, solution.coefficients)
         return np.asarray(solution.basis @ (solution.basis.T @ slopes) - slopes)
-
-    def _within_bounds(self, coefficients: Array) -> bool:
-        if self.bounds is None:
-            return True
-        lower, upper = self.bounds
-        return bool(np.all((coefficients >= lower) & (coefficients <= upper)))
 
     def _solve_bounded(self, columns: Array, target: Array, scale: Array) -> ProjectedSolution:
         assert self.bounds is not None

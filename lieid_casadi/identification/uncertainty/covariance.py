@@ -29,12 +29,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from lieid_casadi.arrays import Array, Indices
-from lieid_casadi.identification.regression.design_matrix import (
-    Design,
-    known_before,
-    rows_per_independent,
-    with_rows,
-)
+from lieid_casadi.identification.regression.design_matrix import Design, rows_per_independent
 from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import (
     WEAK,
@@ -43,6 +38,7 @@ from lieid_casadi.identification.regression.least_squares import (
     solve,
     stacked,
 )
+from lieid_casadi.identification.regression.priors import known_before, with_rows
 from lieid_casadi.identification.regression.variable_projection import shape_columns
 
 QUIET = 5  # consecutive lags without significant correlation that end the correlation

@@ -40,7 +40,11 @@ def read_parquet(file: Path, options: registry.ReadOptions) -> Measurement:
             label = None if layout.label is None else stored[layout.label]
             columns, step = _decimated(content, used, label, options.part)
             if step > 1:
-                warnings += (_large_file(file, step),)
+                text = (
+                    f"{file.name}: larger than the memory allows: each row is the mean of {step} "
+                    f"rows of the file; {file.name}@T0:T1 reads a part at its full rate"
+                )
+                warnings += (LargeFileWarning(text),)
         else:  # one by one, or all are in memory twice
             columns = {name: _values(content.read(columns=[name]).column(0)) for name in used}
     columns = dict(zip(layout.used(), columns.values(), strict=True))
@@ -137,10 +141,3 @@ def _means(x: Any, first: Indices) -> Array:
 
 def _values(column: Any) -> Any:
     return np.asarray(column.to_numpy(zero_copy_only=False))
-
-
-def _large_file(file: Path, step: int) -> LargeFileWarning:
-    return LargeFileWarning(
-        f"{file.name}: larger than the memory allows: each row is the mean of {step} rows of the "
-        f"file; {file.name}@T0:T1 reads a part at its full rate"
-    )

@@ -1,0 +1,112 @@
+"""What parameters may be before any data: as rows of a regression, in units of the noise.
+
+Short recordings leave sums of link parameters nearly undetermined, and least squares gives them
+whatever noise and missing friction fit best: impossible bodies that other motion shows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lieid_casadi.arrays import Array, Indices
+from lieid_casadi.identification.regression.design_matrix import Design, rows_per_independent
+from lieid_casadi.identification.regression.least_squares import (
+    NO_TORQUE,
+    VANISHING,
+    Factor,
+    combine,
+    size_of_function,
+)
+from lieid_casadi.model import Model
+from lieid_casadi.robot.description import STANDARD_GRAVITY
+from lieid_casadi.robot.inertia import parameter_transport, relative
+
+#: Standard deviation of a smooth function's coefficients before any data, in `size_of_function`;
+#: at least, of the largest torque.
+LARGER, LEAST = 2.0, 1e-6
+SMALLEST_RADIUS = 0.05  # m, of a sphere
+#: Largest standard deviation of a base parameter of links before any data, in the moment that
+#: gravity turns into the largest RMS torque.
+LINKS = 3.0
+
+
+def with_priors(factor: Factor, design: Design) -> Factor:
+    """Return a factor of rows in units of the noise, with those of what is known before any data.
+
+    A prior counts as one independent row; filtered rows that depend on each other count as more
+    than they are, and the prior by the same factor.
+    """
+    return with_rows(factor, design, known_before(factor, design, of_effects=True))
+
+
+def with_rows(factor: Factor, design: Design, known: Array) -> Factor:
+    """Return a factor with rows (k, p + 1) that each count as one independent row."""
+    counted = np.sqrt(rows_per_independent(design.segments[0])) * known
+    return combine([factor, Factor(counted, 0)], np.ones(2))
+
+
+def known_before(factor: Factor, design: Design, *, of_effects: bool) -> Array:
+    """Return rows (k, p + 1) of what parameters may be before any data, in units of that.
+
+    What no row shows is at most the largest torque. ``of_effects`` adds the priors of effects'
+    coefficients; those of a function are as large together as what they explain.
+    """
+    model, rate = design.model, design.segments[0].recording.rate
+    laws = model.robot.drives or (None,) * model.n
+    taus = [s.tau for s in design.segments if s.tau is not None]
+    own = [(p, c) for p in model.placements for c in p.effect.coefficients]
+    largest = max(float(np.mean(np.concatenate(taus) ** 2, axis=0).max() ** 0.5), 1e-6)
+    size = np.linalg.norm(factor.r, axis=0)
+    of_links = np.flatnonzero(model.base.kept < 10 * model.n)
+    rows = np.zeros((model.base.count, factor.r.shape[1]))
+    links = _of_links(factor, model, of_links, largest)
+    rows[np.ix_(of_links, np.append(of_links, -1))] = links
+    functions: dict[str, list[int]] = {}
+    for k in np.flatnonzero(model.base.kept >= 10 * model.n):
+        placement, coefficient = own[model.base.kept[k] - 10 * model.n]
+        prior = coefficient.prior if of_effects else None
+        if of_effects and placement.effect.orthonormal:
+            functions.setdefault(placement.label, []).append(int(k))
+            rows[k, k] = 1.0 / largest
+        elif prior or size[k] <= NO_TORQUE * size.max():
+            known = prior(rate, laws[placement.joint]) if prior else (0.0, largest)
+            if known is not None:
+                rows[k, k], rows[k, -1] = 1.0 / known[1], known[0] / known[1]
+    independent = factor.r / np.sqrt(rows_per_independent(design.segments[0]))
+    for together in functions.values():
+        spread = LARGER * size_of_function(np.vstack([independent, rows]), np.array(together))
+        rows[together, together] = 1.0 / np.clip(spread, LEAST * largest, largest)
+    return rows
+
+
+def _of_links(factor: Factor, model: Model, own: Indices, torque: float) -> Array:
+    """Return the rows (k, k + 1) of the base parameters of links (k,).
+
+    Base parameters are sums of link parameters. These vary as those of spheres between the joints
+    do if their pseudo-inertias are distorted at random, with masses in proportion to their radii;
+    beside that, inertia about each joint's axis as its rotor may add, and all of the last link as a
+    tool may. The first have a largest standard deviation of `LINKS` times the moment that gravity
+    turns into a ``torque``, the others all have it. The means are the stated bodies times the
+    factor by which these explain most of the rows: the unit of these may be another one.
+    """
+    robot, mean = model.robot, np.zeros(len(own))
+    sums = model.base.combination[own, : 10 * model.n]
+    ends = [*(joint.home for joint in robot.joints[1:]), robot.joints[-1].home @ robot.tool]
+    half, rotors = sums.copy(), np.zeros((10 * model.n, model.n))
+    for i, (joint, end) in enumerate(zip(robot.joints, ends, strict=True)):
+        link, centre = slice(10 * i, 10 * i + 10), 0.5 * relative(joint.home, end)[:3, 3]
+        radius = max(float(np.linalg.norm(centre)), SMALLEST_RADIUS)
+        root = np.diag([*np.full(3, radius / np.sqrt(5.0)), 1.0])  # second moments are r²/5
+        root[:3, 3] = centre
+        half[:, link] = radius * sums[:, link] @ parameter_transport(root)
+        inertia = np.outer(joint.axis[:3], joint.axis[:3])[np.tril_indices(3)]
+        rotors[link, i] = [float(not joint.revolute), 0.0, 0.0, 0.0, *inertia]
+    half /= np.linalg.norm(half, axis=1).max(initial=VANISHING)
+    half = np.hstack([half, sums @ rotors, sums[:, -10:]]) * LINKS * torque / -STANDARD_GRAVITY[2]
+    _, triangle = np.linalg.qr(half.T)  # squared: the covariance of base parameters
+    if robot.has_inertia:
+        mean = sums @ robot.link_parameters
+        stated = factor.r[:, own] @ mean
+        mean *= float(stated @ factor.r[:, -1]) / max(float(stated @ stated), VANISHING)
+    rows = np.linalg.inv(triangle.T)
+    return np.column_stack([rows, rows @ mean])

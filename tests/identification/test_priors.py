@@ -1,0 +1,98 @@
+"""What is known of links before any data, on short recordings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plant.recordings import recorded
+from scipy.signal import lfilter
+
+import lieid_casadi as lieid
+from lieid_casadi import plant
+from lieid_casadi.identification.regression import priors
+from lieid_casadi.robot.inertia import link_parameters
+
+ROBOT = lieid.robots.panda()
+EFFECTS = "coulomb,viscous,offset"
+OPTIONS = lieid.Processing(cutoff=5.0)
+RATE, NONE = 200.0, 1e6
+
+
+def with_slow_noise(run, seed):
+    """The recording with noise of 3 % of the torque, correlated over 0.3 s."""
+    memory = np.exp(-1.0 / (0.3 * RATE))
+    white = np.random.default_rng(seed).normal(size=run.tau.shape) * np.sqrt(1.0 - memory**2)
+    noise = lfilter([1.0], [1.0, -memory], white, axis=0)
+    return replace(run, tau=run.tau + 0.03 * run.tau.std(axis=0) * noise)
+
+
+def runs(arm, seed, seconds=8.0):
+    """A short recording for training, and another one."""
+    both = (
+        recorded(arm, k, seconds=s, step=1.0 / RATE) for k, s in ((seed, seconds), (seed + 50, 20))
+    )
+    return [with_slow_noise(run, seed + k) for k, run in enumerate(both)]
+
+
+def unseen(robot, train, test):
+    fit = lieid.identify(lieid.Model(robot, EFFECTS), train, processing=OPTIONS)
+    return lieid.compare(fit, test).rms_moving
+
+
+def against_none(robot, train, test, monkeypatch):
+    """Return the error of each joint relative to that of links of which nothing is known."""
+    own = unseen(robot, train, test)
+    with monkeypatch.context() as patch:
+        patch.setattr(priors, "LINKS", NONE)
+        return own / unseen(robot, train, test)
+
+
+def arm_of(seed, robot=ROBOT):
+    parameters = plant.perturbed_inertias(robot, seed=seed)
+    return plant.Arm(robot, parameters, plant.JointFriction(*np.full((3, robot.n), 0.5)))
+
+
+def test_short_recordings_of_slow_noise_predict_other_motion_better(monkeypatch):
+    ratios = [
+        against_none(ROBOT, *runs(arm_of(seed), seed), monkeypatch) for seed in range(0, 12, 2)
+    ]
+    assert np.exp(np.mean(np.log(ratios))) < 0.97
+    assert np.max(ratios) < 1.2
+
+
+@pytest.mark.parametrize("stated", ["no bodies", "of other masses", "a tenth"])
+def test_wrong_descriptions_cost_little(stated, monkeypatch):
+    factors = np.exp(np.random.default_rng(0).uniform(-1.6, 1.6, ROBOT.n))
+    links = {
+        "no bodies": [None] * ROBOT.n,
+        "of other masses": [f * j.link for f, j in zip(factors, ROBOT.joints, strict=True)],
+        "a tenth": [0.1 * j.link for j in ROBOT.joints],
+    }[stated]
+    joints = [replace(j, link=x) for j, x in zip(ROBOT.joints, links, strict=True)]
+    robot = replace(ROBOT, joints=tuple(joints))
+    ratios = [against_none(robot, *runs(arm_of(seed), seed), monkeypatch) for seed in (0, 2, 4)]
+    assert np.exp(np.mean(np.log(ratios))) < 1.0
+    assert np.max(ratios) < 1.2
+
+
+def test_a_heavy_tool_and_rotors_that_are_not_stated(monkeypatch):
+    """Their parameters are not drawn to those of small links."""
+    arm = arm_of(0)
+    tool = link_parameters(4.0, np.array([0.05, 0.0, 0.15]), np.diag([0.05, 0.05, 0.02]))
+    rotors = tuple(plant.Armature(joint=j, inertia=0.3) for j in range(ROBOT.n))
+    arm = replace(arm, parameters=plant.with_payload(ROBOT, arm.parameters, tool), effects=rotors)
+    ratio = against_none(ROBOT, *runs(arm, 0), monkeypatch)
+    assert np.exp(np.mean(np.log(ratio))) < 1.0
+    assert ratio.max() < 1.2
+
+
+def test_values_follow_the_unit_of_the_torque():
+    """Of a torque in mN·m, parameters are a thousand times as large."""
+    train, _ = runs(arm_of(0), 0)
+    fits = [
+        lieid.identify(lieid.Model(ROBOT, EFFECTS), replace(train, tau=k * train.tau),
+                       processing=OPTIONS)
+        for k in (1.0, 1000.0)
+    ]  # fmt: skip
+    np.testing.assert_allclose(fits[1].values, 1000.0 * fits[0].values, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(fits[1].std, 1000.0 * fits[0].std, rtol=1e-3)
