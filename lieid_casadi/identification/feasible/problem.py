@@ -26,6 +26,7 @@ from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.compiled.triangular_factors import triangular
 from lieid_casadi.errors import IdentificationError, LieidWarning, NominalInertiaWarning, NoSolution
 from lieid_casadi.identification.regression.least_squares import Factor, unit_columns
+from lieid_casadi.identification.regression.priors import sphere_between_joints
 from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import body_inertia, link_parameters, pseudo_inertia
 from lieid_casadi.robot.robot import Robot
@@ -33,7 +34,6 @@ from lieid_casadi.robot.robot import Robot
 FLAT = 1e-6  # smallest ratio of second moments of a body that is used as it is
 CORRECTED_FLATNESS = 1e-3  # smallest ratio of second moments of a corrected body
 CORRECTED_GYRATION = 0.01  # m, smallest radius of gyration of a corrected body
-SMALLEST_RADIUS = 0.05  # m, of a sphere
 DENSITY = (100.0, 5000.0)  # kg/m³, range for spheres
 
 
@@ -94,10 +94,7 @@ def _with_spheres(model: Model, links: Array, factor: Factor) -> Array:
 
 def _sphere(robot: Robot, i: int) -> Array:
     """Return a sphere of unit density between joint i and the next one, or the tool."""
-    here = robot.joints[i].home
-    following = robot.joints[i + 1].home if i + 1 < robot.n else here @ robot.tool
-    centre = 0.5 * (np.linalg.solve(here, following))[:3, 3]
-    radius = max(float(np.linalg.norm(centre)), SMALLEST_RADIUS)
+    centre, radius = sphere_between_joints(robot, i)
     mass = 4.0 / 3.0 * np.pi * radius**3
     return link_parameters(mass, centre, 0.4 * mass * radius**2 * np.eye(3))
 

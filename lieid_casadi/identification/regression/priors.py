@@ -20,14 +20,13 @@ from lieid_casadi.identification.regression.least_squares import (
 from lieid_casadi.model import Model
 from lieid_casadi.robot.description import STANDARD_GRAVITY
 from lieid_casadi.robot.inertia import parameter_transport, relative
+from lieid_casadi.robot.robot import Robot
 
 #: Standard deviation of a smooth function's coefficients before any data, in `size_of_function`;
 #: at least, of the largest torque.
 LARGER, LEAST = 2.0, 1e-6
 SMALLEST_RADIUS = 0.05  # m, of a sphere
-#: Largest standard deviation of a base parameter of links before any data, in the moment that
-#: gravity turns into the largest RMS torque.
-LINKS = 3.0
+LINKS = 3.0  # largest standard deviation of links, in the moment that gravity turns into a torque
 
 
 def with_priors(factor: Factor, design: Design) -> Factor:
@@ -59,8 +58,7 @@ def known_before(factor: Factor, design: Design, *, of_effects: bool) -> Array:
     size = np.linalg.norm(factor.r, axis=0)
     of_links = np.flatnonzero(model.base.kept < 10 * model.n)
     rows = np.zeros((model.base.count, factor.r.shape[1]))
-    links = _of_links(factor, model, of_links, largest)
-    rows[np.ix_(of_links, np.append(of_links, -1))] = links
+    rows[np.ix_(of_links, np.append(of_links, -1))] = _of_links(factor, model, of_links, largest)
     functions: dict[str, list[int]] = {}
     for k in np.flatnonzero(model.base.kept >= 10 * model.n):
         placement, coefficient = own[model.base.kept[k] - 10 * model.n]
@@ -91,11 +89,9 @@ def _of_links(factor: Factor, model: Model, own: Indices, torque: float) -> Arra
     """
     robot, mean = model.robot, np.zeros(len(own))
     sums = model.base.combination[own, : 10 * model.n]
-    ends = [*(joint.home for joint in robot.joints[1:]), robot.joints[-1].home @ robot.tool]
-    half, rotors = sums.copy(), np.zeros((10 * model.n, model.n))
-    for i, (joint, end) in enumerate(zip(robot.joints, ends, strict=True)):
-        link, centre = slice(10 * i, 10 * i + 10), 0.5 * relative(joint.home, end)[:3, 3]
-        radius = max(float(np.linalg.norm(centre)), SMALLEST_RADIUS)
+    half, rotors = np.empty_like(sums), np.zeros((10 * model.n, model.n))
+    for i, joint in enumerate(robot.joints):
+        link, (centre, radius) = slice(10 * i, 10 * i + 10), sphere_between_joints(robot, i)
         root = np.diag([*np.full(3, radius / np.sqrt(5.0)), 1.0])  # second moments are r²/5
         root[:3, 3] = centre
         half[:, link] = radius * sums[:, link] @ parameter_transport(root)
@@ -110,3 +106,10 @@ def _of_links(factor: Factor, model: Model, own: Indices, torque: float) -> Arra
         mean *= float(stated @ factor.r[:, -1]) / max(float(stated @ stated), VANISHING)
     rows = np.linalg.inv(triangle.T)
     return np.column_stack([rows, rows @ mean])
+
+
+def sphere_between_joints(robot: Robot, i: int) -> tuple[Array, float]:
+    """Return centre (3,) in the link's frame and radius, m, between joint i and what follows."""
+    end = robot.joints[i + 1].home if i + 1 < robot.n else robot.joints[i].home @ robot.tool
+    centre = 0.5 * relative(robot.joints[i].home, end)[:3, 3]
+    return centre, max(float(np.linalg.norm(centre)), SMALLEST_RADIUS)
