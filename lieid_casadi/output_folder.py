@@ -48,7 +48,8 @@ def output_folder(folder: str | Path, *, force: bool = False) -> Iterator[Path]:
     parent = target if exists else target.parent
     with reported(folder), created_folders(parent), temporary_folder(parent) as fresh:
         yield fresh
-        names = _files_in(fresh)
+        files = [p for p in fresh.rglob("*") if not p.is_dir() and p != fresh / MANIFEST]
+        names = sorted(p.relative_to(fresh).as_posix() for p in files)
         for name in names:
             _synchronize(fresh / name)
         if exists:
@@ -100,14 +101,6 @@ def _check_replaceable(folder: str | Path, target: Path, *, force: bool) -> None
             f"{folder}: not empty; expected a new folder, or --force to replace the files that "
             f"its {MANIFEST} lists"
         )
-
-
-def _files_in(folder: Path) -> list[str]:
-    return sorted(
-        path.relative_to(folder).as_posix()
-        for path in folder.rglob("*")
-        if not path.is_dir() and path != folder / MANIFEST
-    )
 
 
 def _synchronize(path: Path) -> None:

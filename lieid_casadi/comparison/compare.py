@@ -15,6 +15,7 @@ from lieid_casadi.comparison.series import largest_errors, series_along
 from lieid_casadi.identification import recording_checks
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import center_temperature
+from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import usable_rows
 from lieid_casadi.identification.regression.variable_projection import signal_of
 from lieid_casadi.recording import Processed, Recording, check, process
@@ -53,9 +54,13 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
 
 
 def compared_segments(fit: Fit, recordings: Sequence[Recording]) -> tuple[Processed, ...]:
-    """Return the segments of recordings, processed as those of a fit, without averaged periods."""
+    """Return the segments of recordings, processed as those of a fit, without averaged periods.
+
+    They have the numbers of the recordings of the fit, None if they are none of these.
+    """
     segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
-    return segments
+    of_fit = fit.provenance.number
+    return tuple(replace(s, number=of_fit(Source.of(s.recording))) for s in segments)
 
 
 def compare_segments(

@@ -25,7 +25,6 @@ from scipy.ndimage import uniform_filter1d
 from lieid_casadi.arrays import Array, Indices, Mask
 from lieid_casadi.identification import Fit
 from lieid_casadi.identification.prediction import torque_along
-from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import JointRows, Rows, independent_axes
 from lieid_casadi.identification.regression.variable_projection import shape_columns
@@ -73,8 +72,8 @@ def noise_floor(
     """
     cutoff, design = segments[0].cutoff, Design(fit.compiled, segments)
     rows = design.rows(fit.shapes, fit.parameters)
-    unseen = [not fit.provenance.contains(Source.of(s.recording)) for s in segments]
-    residuals = rows.residuals(fit.lasting_values if all(unseen) else fit.values)
+    unseen = [s.number is None for s in segments]
+    residuals = rows.residuals(fit.values)
     repeated = [period_noise(r, cutoff=cutoff) for r in recordings]
     squares = [noise**2 for noise in repeated if noise is not None]
     if len(squares) == len(recordings):  # else rates and noise of the others may be unlike

@@ -13,7 +13,6 @@ from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.effects import Placement
 from lieid_casadi.identification.fit import Fit
 from lieid_casadi.identification.prediction import relative_temperature, torque_along
-from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.identification.regression.segment_columns import effects_along
 from lieid_casadi.recording import Processed
 
@@ -52,8 +51,7 @@ class Series:
 def series_along(fit: Fit, segment: Processed) -> tuple[Series, Array]:
     """Return the series of a segment, and its error (K, n) on the grid, not filtered, N·m."""
     assert segment.tau is not None  # checked by compare
-    fitted = fit.provenance.contains(Source.of(segment.recording))
-    torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes, fitted=fitted)
+    torque = torque_along(fit.compiled, segment, fit.parameters, fit.shapes, fitted=True)
     load = fit.compiled.inverse_dynamics(segment.q, segment.dq, segment.ddq, fit.link_parameters)
     q, dq, ddq = segment.filtered_motion
     temperature = segment.temperature

@@ -17,8 +17,7 @@ from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.diagnosis.events import follows_commands, moves_enough
 from lieid_casadi.diagnosis.incremental import incremental
 from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
-from lieid_casadi.effects.registry import usable
-from lieid_casadi.effects.smooth import Smooth
+from lieid_casadi.effects.registry import make, usable
 from lieid_casadi.identification.regression.variable_projection import (
     ShapeRange,
     command_error_range,
@@ -198,11 +197,14 @@ def list_candidates(
     found: list[Candidate] = []
     if not moves.any():
         return ()
+    recordings = len({segment.number for segment in segments})
     for effect in usable(model.library)[0].values():
         if effect.option and not effect.whole_arm and (model_fixed or not is_form(effect)):
             continue  # of variants, only those of the whole arm and other forms
         if not effect.candidate or not _has_signals(effect, segments, commanded=commanded):
             continue
+        if effect.per_recording and recordings > 1:
+            effect = make(f"{effect.name}/{recordings}")
         if model_fixed:
             effect = incremental(effect, [p.effect.name for p in model.placements])
         scanned = any(shape.scan for shape in effect.shapes)
@@ -273,7 +275,7 @@ def is_form(effect: Effect) -> bool:
 
     Effects are compared with it; a path does not choose it.
     """
-    variant = effect.option and not (effect.replaces or isinstance(effect, Smooth))
+    variant = effect.option and not (effect.replaces or effect.free_options)
     own = isinstance(effect, ArmEffect) and not effect.whole_arm
     return bool(variant) and (own or follows_velocity(effect))
 

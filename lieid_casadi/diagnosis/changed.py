@@ -17,7 +17,6 @@ import numpy as np
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import Comparison, compare
-from lieid_casadi.comparison.compare import compared_segments
 from lieid_casadi.diagnosis.candidates import Candidate, reason_against
 from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations, solved, undetermined
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -38,6 +37,7 @@ from lieid_casadi.diagnosis.steps import (
 )
 from lieid_casadi.errors import unique_warnings
 from lieid_casadi.identification import Fit
+from lieid_casadi.identification.prediction import center_temperature
 from lieid_casadi.identification.uncertainty.covariance import (
     LEAST_KNOWN,
     prior_rows,
@@ -46,7 +46,7 @@ from lieid_casadi.identification.uncertainty.covariance import (
 from lieid_casadi.identification.uncertainty.noise_model import Noise
 from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
-from lieid_casadi.recording import Recording
+from lieid_casadi.recording import Recording, process
 
 
 def diagnose_changed(
@@ -59,7 +59,7 @@ def diagnose_changed(
     """Return what has changed since a fit; see `lieid_casadi.diagnose`."""
     report("compare", 0.0)
     before = compare(fit, recordings)
-    segments = compared_segments(fit, recordings)
+    segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
     report("search for changes", 0.2)
     noise = held_out_noise(fit)
     spread = np.array([each.spread for each in noise])

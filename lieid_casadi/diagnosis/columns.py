@@ -115,13 +115,6 @@ class Columns:
         return np.array([is_delay(c) for c in self.owners], dtype=bool)[self.owner]
 
     @cached_property
-    def common(self) -> Indices:
-        """Of each owner that is a drift in one recording, the owner that is it in all; else −1."""
-        labels = {c.label: k for k, c in enumerate(self.owners) if c.effect.per_recording}
-        each = [-1 if c.of_arm else labels.get(c.placement.label, -1) for c in self.owners]
-        return np.array(each, dtype=np.intp)
-
-    @cached_property
     def cells(self) -> tuple[Array, Array]:
         """Least and largest coefficient of each column (m,), see `Candidate.cell`."""
         cells = [self.candidate(g).cell(int(k)) for g, k in enumerate(self.point)]

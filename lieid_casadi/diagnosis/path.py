@@ -360,9 +360,7 @@ def _best(
     ``found`` are the gains of usable groups and the coefficients, see `PathState.gains`.
     """
     columns, (gains, values) = state.paths.columns, found
-    owners = columns.owner[list(state.groups)]
-    every = np.arange(len(columns.owners))
-    taken = np.isin(every, [*owners, *columns.common[owners]])[columns.owner]
+    taken = np.isin(columns.owner, columns.owner[list(state.groups)])
     if state.paths.span.of_prior:  # delays that nearly cancel resemble friction of another form
         late = [g for g in state.groups if columns.delays[g]]
         taken |= columns.delays & columns.reach[columns.reach[:, late].any(axis=1)].any(axis=0)

@@ -247,8 +247,8 @@ def _with_changes(rows: Rows, wanted: Callable[[Candidate], bool], *, in_course:
     fixed = [c for c in every if not (c.by_estimate or c.effect.shapes)]
     own = [c for c in fixed if rows.runs[c.joint].count and wanted(c)]
     columns, recordings = rows.columns, rows.recording_parts()
-    shaped = np.array([bool(c.effect.shapes) for c in columns.owners], dtype=bool)
-    plain = np.flatnonzero(~shaped[columns.owner] & (columns.point == 0))
+    apart = [bool(c.effect.shapes) or c.effect.per_recording for c in columns.owners]
+    plain = np.flatnonzero(~np.array(apart, dtype=bool)[columns.owner] & (columns.point == 0))
     changes = [
         columns.of_groups(plain).only_in(recordings),
         rows.with_candidates(own).columns.only_in(recordings),

@@ -267,11 +267,6 @@ def _factor(value: Any, digits: int) -> tuple[str, str]:
     return sign, size
 
 
-def link_parameter_names(n: int) -> tuple[str, ...]:
-    """Return the names of 10 n link parameters, joints from 1: ``m1 … Izz1, m2 …``."""
-    return tuple(f"{name}{i}" for i in range(1, n + 1) for name in LINK_PARAMETER_NAMES)
-
-
 def base_parameters(
     robot: Robot,
     extra: Sequence[EnergyColumn | None] = (),
@@ -282,7 +277,8 @@ def base_parameters(
     ``extra`` has one entry per column after the 10 n link columns: its `EnergyColumn`, or None for
     a column that link parameters cannot reproduce.
     """
-    return reduce(null_space(robot, extra), (*link_parameter_names(robot.n), *extra_names))
+    names = [f"{name}{i + 1}" for i in range(robot.n) for name in LINK_PARAMETER_NAMES]
+    return reduce(null_space(robot, extra), (*names, *extra_names))
 
 
 def reduce(null: Matrix, names: tuple[str, ...]) -> BaseParameters:

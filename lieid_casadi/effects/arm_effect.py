@@ -52,8 +52,8 @@ class SegmentModel(Protocol):
         """Torque (K, n) of the rigid arm and all effects on single joints, N·m."""
 
     @property
-    def fitted(self) -> bool:
-        """Whether the model is fitted to this segment."""
+    def recording(self) -> int | None:
+        """Number of the recording of this segment among those to which the model is fitted."""
 
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Return the rigid torque (K, n) of another motion (K, n), N·m."""

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel, on_joint
+from lieid_casadi.effects.arm_effect import ArmEffect, Array, SegmentModel
 from lieid_casadi.effects.effect import Coefficient
 from lieid_casadi.effects.registry import register
+from lieid_casadi.errors import EffectError
 
 
 @register
@@ -12,14 +13,16 @@ class BiasDrift(ArmEffect):
     """A bias that grows with time: τ = r·(t − t̄), r in N·m/s, t̄ the mean time of the recording.
 
     It does not carry over to another recording: predictions of other recordings and exported code
-    omit it. A model has one rate r for all recordings of its fit; the diagnosis states other rates
-    in each recording as a difference between the recordings.
+    omit it. The option is the number of recordings of the fit, in each of which it has another rate
+    r1, r2, …; without, all have the same one.
     """
 
     name = "bias_drift"
-    finding = ("The torque of {joints} drifts upwards", "The torque of {joints} drifts downwards")
+    finding = ("The torque of {joints} drifts",)
     formula = "r·(t − t̄)"
-    coefficients = (Coefficient("r", "N·m/s", meaning="drift rate"),)
+    coefficients: tuple[Coefficient, ...] = (Coefficient("r", "N·m/s", meaning="drift rate"),)
+    options = {"2": "another rate in each of two recordings, r1 and r2; or of any number of them"}
+    free_options = True
     reach = "joint"
     per_recording = True
     on_torque_signal = True
@@ -32,6 +35,20 @@ class BiasDrift(ArmEffect):
     typical = "0.1 to 1 % of a torque sensor's range per hour"
     export_note = "omitted: it belongs to the recordings of the fit and does not carry over"
 
+    def __init__(self, *, option: str = "") -> None:
+        self.option = option
+        if not option:
+            return
+        if not (option.isdecimal() and 2 <= int(option) <= 999):
+            raise EffectError(f"{self.name}/{option}: expected a number of recordings from 2")
+        self.coefficients = tuple(
+            Coefficient(f"r{k + 1}", "N·m/s", meaning=f"drift rate in recording {k + 1}")
+            for k in range(int(option))
+        )
+
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        drift = arm.t - arm.t.mean() if arm.fitted else np.zeros_like(arm.t)
-        return on_joint(drift, joint, arm.torque.shape[1])
+        columns = np.zeros((*arm.torque.shape, len(self.coefficients)))
+        if arm.recording is not None:
+            column = arm.recording if self.option else 0
+            columns[:, joint, column : column + 1] = (arm.t - arm.t.mean())[:, None]
+        return columns

@@ -65,10 +65,6 @@ class FleetArm:
         own = [[e for e in self.payloads if e.value.label == label] for label in labels]
         return [payload for entries in own if (payload := valid_at(entries, night)) is not None]
 
-    def is_maintained(self, night: date) -> bool:
-        """Whether a night is one of maintenance, which is left out."""
-        return any(first <= night <= last for first, last in self.maintenance)
-
 
 def valid_at(entries: Sequence[Dated[T]], night: date) -> T | None:
     """Return the value that is valid on a night: the one with the latest first night."""

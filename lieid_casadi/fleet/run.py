@@ -233,7 +233,8 @@ def recordings_of(
                 yield night, str(error)
                 continue
             fit, tool = valid_at(fits, day), valid_at(arm.tools, day)
-            if fit is not None and not arm.is_maintained(day):
+            maintained = any(first <= day <= last for first, last in arm.maintenance)
+            if fit is not None and not maintained:
                 known = [(p.label, tuple(p.parameters.tolist())) for p in arm.payloads_at(day)]
                 yield (
                     replace(

@@ -108,13 +108,6 @@ class Fit:
         """Base parameters, then shape parameters: the entries of ``values`` and ``shapes``."""
         return (*self.model.base_columns, *self.model.shapes)
 
-    @property
-    def lasting_values(self) -> Array:
-        """``values`` with those at zero that hold for the fit's recordings only, as of a drift."""
-        drifts = [p for p in self.model.placements if p.effect.per_recording]
-        lasts = [not any(map(p.belongs_to, drifts)) for p in self.model.base_columns]
-        return np.where(lasts, self.values, 0.0)
-
     def predict(self, recording: Recording) -> Array:
         """Return the torque (N, n) at the recording's own times, N·m; finite everywhere.
 

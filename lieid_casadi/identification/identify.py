@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from lieid_casadi.arrays import Array
 from lieid_casadi.blas_threads import blas_on_one_thread
 from lieid_casadi.compiled import Compiled, compile
-from lieid_casadi.errors import IdentificationError, LieidWarning, unique_warnings
+from lieid_casadi.errors import EffectError, IdentificationError, LieidWarning, unique_warnings
 from lieid_casadi.identification import fit_warnings
 from lieid_casadi.identification.feasible.feasible_fit import (
     ConsistentFit,
@@ -250,6 +250,9 @@ def _prepared(
 ) -> tuple[Compiled, tuple[Processed, ...], Array | None, list[LieidWarning]]:
     """Return the compiled model, processed segments, mean temperatures (n,), and warnings."""
     check_recordings(model, given)
+    for p in model.placements:
+        if p.effect.per_recording and p.effect.option not in ("", f"{len(given)}"):
+            raise EffectError(f"{p.label}: the fit has {len(given)} recordings, not as many")
     compiled = compile(model)
     report("check", 0.0)
     found = [w for recording in given for w in check(recording, model.robot)]

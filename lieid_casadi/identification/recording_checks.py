@@ -122,4 +122,9 @@ class Provenance:
 
     def contains(self, source: Source) -> bool:
         """Return whether a recording shares samples with one of these."""
-        return any(source.overlaps(each) for each in self.recordings)
+        return self.number(source) is not None
+
+    def number(self, source: Source) -> int | None:
+        """Return the number, from 0, of that of these with which a recording shares samples."""
+        found = (k for k, each in enumerate(self.recordings) if source.overlaps(each))
+        return next(found, None)

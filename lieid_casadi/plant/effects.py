@@ -142,8 +142,7 @@ class WarmUp(JointEffect):
     def viscous_scale(self, s: JointState) -> Array:
         return 1.0 + self.change * (1.0 - np.exp(-s.t / self.time_constant))
 
-    def level_scale(self, s: JointState) -> Array:
-        return self.viscous_scale(s)
+    level_scale = viscous_scale
 
 
 @dataclass(frozen=True)

@@ -94,6 +94,7 @@ class Processed:
     options: Processing  # with the cut-off that was chosen
     warnings: tuple[LieidWarning, ...] = ()
     command: Array | None = None  # (K, n) resampled, not low-passed
+    number: int | None = 0  # of its recording among those of a fit; None if it is none of them
 
     @property
     def n(self) -> int:
@@ -255,13 +256,13 @@ def process(
     options = replace(options, cutoff=cutoff)
     done: list[Processed] = []
     short: list[LieidWarning] = []
-    for recording in given:
+    for number, recording in enumerate(given):
         for segment in recording.segments():
             reason = _too_short(segment, cutoff, options.trim)
             if reason:
                 short.append(ShortSegmentWarning(reason))
             else:
-                done.append(_process_segment(segment, options, cutoff))
+                done.append(replace(_process_segment(segment, options, cutoff), number=number))
     if not done:
         parts = f"; {len(short)} parts between gaps in time are: check the stamps"
         raise RecordingError(f"{short[0]}{parts if len(short) > len(given) else ''}")

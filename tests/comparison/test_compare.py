@@ -22,6 +22,7 @@ from lieid_casadi.comparison.series import (
 )
 from lieid_casadi.errors import (
     BeyondTrainingWarning,
+    EffectError,
     ModelError,
     RecordingError,
     SameRecordingWarning,
@@ -93,8 +94,26 @@ def test_a_drift_is_that_of_the_training_recordings_alone():
     assert np.all(comparison.over_noise < 1.2)
     (elsewhere,) = lieid.compare(fit, rest).series
     assert np.std(elsewhere.error[:, 0]) == pytest.approx(0.5 * 7.0 / np.sqrt(12.0), rel=0.05)
-    (zero,) = np.flatnonzero(fit.lasting_values != fit.values)
-    assert fit.model.base_columns[zero].name.startswith("bias_drift")
+
+
+def test_the_drift_of_each_recording_has_its_own_rate(tmp_path):
+    rates, train = (0.5, -0.3, 0.1), []
+    for k, rate in enumerate(rates):
+        t = arm.motion(12.0, seed=3 + k)[0]
+        drift = np.column_stack([rate * (t - t.mean()), np.zeros(len(t))])
+        train.append(arm.recording(12.0, seed=3 + k, noise=0.2, extra=drift, name=f"run {k}"))
+    made = arm.fit(*train, effects=f"{arm.EFFECTS},bias_drift/3:1")
+    made.save(tmp_path / "fit.json")
+    fit = lieid.Fit.load(tmp_path / "fit.json")
+    own = [r for r in fit.parameter_table() if r["name"].startswith("bias_drift")]
+    for row, rate, recording in zip(own, rates, train, strict=True):
+        assert abs(row["value"] - rate) < 4.0 * row["std"] < 0.1
+        assert np.all(lieid.compare(fit, recording).over_noise < 1.2)
+    np.testing.assert_allclose(lieid.compare(fit, train).rms, fit.rms_train)
+    with pytest.raises(EffectError, match="bias_drift/3:1: the fit has 2 recordings"):
+        lieid.identify(fit.model, train[:2])
+    with pytest.raises(EffectError, match="bias_drift/one: expected a number of recordings"):
+        lieid.Model(fit.model.robot, "bias_drift/one")
 
 
 def coloured(correlation_time, size, seed, samples):

@@ -33,7 +33,7 @@ class ModelAlongSegment:
     compiled: Compiled
     segment: Processed
     parameters: Array  # (10 n + m,): link parameters and effect coefficients
-    fitted: bool  # whether the model was fitted to this segment
+    recording: int | None  # its number among those to which the model is fitted
     shapes: Array  # (s,): shape parameters of the effects
 
     @property
@@ -50,7 +50,7 @@ class ModelAlongSegment:
     def friction_known(self) -> Mask:
         """Whether the friction of each joint is determined (K, n)."""
         moving = self.segment.moving
-        return moving if self.fitted else np.ones_like(moving)
+        return moving if self.recording is not None else np.ones_like(moving)
 
     @property
     def _links(self) -> Array:
@@ -193,7 +193,8 @@ def model_along(
     """Return the model along a segment."""
     every = np.zeros(10 * compiled.n + len(compiled.model.columns))
     every[: len(parameters)] = parameters
-    return ModelAlongSegment(compiled, segment, every, fitted, shapes)
+    number = segment.number if fitted else None
+    return ModelAlongSegment(compiled, segment, every, number, shapes)
 
 
 def effects_along(
