@@ -73,7 +73,9 @@ def main(words: Sequence[str] | None = None) -> int:
     if words is None and not sys.warnoptions and not args.debug:
         warnings.simplefilter("ignore")  # of libraries; those of results are printed with them
     try:
-        _use_threads(args)
+        if (threads := getattr(args, "threads", None)) is not None:  # too late for a loaded NumPy
+            for name in ("LIEID", "OMP_NUM", "OPENBLAS_NUM", "MKL_NUM"):
+                os.environ[f"{name}_THREADS"] = str(threads)
         check_paths(args)
         with contextlib.ExitStack() as stack:
             if writes_to_stdout(args):  # tables must not get into the file
@@ -120,13 +122,6 @@ def _run(args: argparse.Namespace) -> int:
     inputs.load_effects_file(getattr(args, "effects_file", None))
     outcome = args.run(args)
     return outcome.finish(args) if isinstance(outcome, Outcome) else int(outcome or DONE)
-
-
-def _use_threads(args: argparse.Namespace) -> None:
-    """Apply --threads; it has no effect on linear algebra once NumPy is imported."""
-    if (threads := getattr(args, "threads", None)) is not None:
-        for name in ("LIEID", "OMP_NUM", "OPENBLAS_NUM", "MKL_NUM"):
-            os.environ[f"{name}_THREADS"] = str(threads)
 
 
 def _discard_unwritten() -> None:
