@@ -27,11 +27,10 @@ def lowpass(x: Array, rate: float, cutoff: float, order: int = 4) -> Array:
     padding = min(x.shape[0] - 1, max(27, round(1.5 * rate / cutoff)))
     # scipy's sosfiltfilt, which computes the settled state again in every call
     ends = 2.0 * x[:1] - x[padding:0:-1], 2.0 * x[-1:] - x[-2 : -padding - 2 : -1]
-    values = np.concatenate([ends[0], x, ends[1]])
-    settled = settled.reshape(*settled.shape, *[1] * (x.ndim - 1))
-    for _ in range(2):
-        values = sosfilt(sections, values, axis=0, zi=settled * values[:1])[0][::-1]
-    return np.array(values[padding : len(values) - padding], dtype=np.float64)
+    rows = np.concatenate([ends[0], x, ends[1]]).reshape(len(x) + 2 * padding, -1).T
+    for _ in range(2):  # along the last axis, so that scipy copies once
+        rows = sosfilt(sections, rows, zi=settled[:, None] * rows[:, :1])[0][:, ::-1]
+    return np.asarray(rows[:, padding : padding + len(x)].T.reshape(x.shape), dtype=np.float64)
 
 
 @lru_cache(maxsize=64)
