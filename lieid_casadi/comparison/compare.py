@@ -54,10 +54,7 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
 
 
 def compared_segments(fit: Fit, recordings: Sequence[Recording]) -> tuple[Processed, ...]:
-    """Return the segments of recordings, processed as those of a fit, without averaged periods.
-
-    They have the numbers of the recordings of the fit, None if they are none of these.
-    """
+    """Return segments, processed as those of a fit but for averaged periods, with its numbers."""
     segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
     of_fit = fit.provenance.number
     return tuple(replace(s, number=of_fit(Source.of(s.recording))) for s in segments)

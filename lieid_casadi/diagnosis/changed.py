@@ -63,7 +63,7 @@ def diagnose_changed(
     report("search for changes", 0.2)
     noise = held_out_noise(fit)
     spread = np.array([each.spread for each in noise])
-    rows = Rows.of(fit, segments, model_fixed=True)
+    rows = Rows.of(_elsewhere(fit), segments, model_fixed=True)
     most = options.least_misfit * np.array([each.motion_ratio for each in noise])
     raised = _misfit(rows, spread, rows.residual) > most
     found = search(
@@ -116,6 +116,15 @@ def diagnose_changed(
         limits_reached=("most_steps",) if len(found.slots) >= options.most_steps else (),
         uncertain=tuple(part for part in parts if part.within),
     )
+
+
+def _elsewhere(fit: Fit) -> Fit:
+    """Return a fit as it predicts other recordings: without drifts, which hold for its own."""
+    drifts = [p for p in fit.model.placements if p.effect.per_recording]
+    gone = [any(map(column.belongs_to, drifts)) for column in fit.model.base_columns]
+    parameters = fit.parameters.copy()
+    parameters[fit.model.base.kept[gone]] = 0.0
+    return replace(fit, values=np.where(gone, 0.0, fit.values), parameters=parameters)
 
 
 def held_out_noise(fit: Fit) -> tuple[Noise, ...]:

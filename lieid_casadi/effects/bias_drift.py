@@ -37,14 +37,13 @@ class BiasDrift(ArmEffect):
 
     def __init__(self, *, option: str = "") -> None:
         self.option = option
-        if not option:
-            return
-        if not (option.isdecimal() and 2 <= int(option) <= 999):
-            raise EffectError(f"{self.name}/{option}: expected a number of recordings from 2")
-        self.coefficients = tuple(
-            Coefficient(f"r{k + 1}", "N·m/s", meaning=f"drift rate in recording {k + 1}")
-            for k in range(int(option))
-        )
+        if option and not (option.isdecimal() and 0 < int(option) < 1000):
+            raise EffectError(f"{self.name}/{option}: expected a number of recordings")
+        if option:
+            self.coefficients = tuple(
+                Coefficient(f"r{k}", "N·m/s", meaning=f"drift rate in recording {k}")
+                for k in range(1, int(option) + 1)
+            )
 
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         columns = np.zeros((*arm.torque.shape, len(self.coefficients)))

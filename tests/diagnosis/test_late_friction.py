@@ -181,6 +181,19 @@ def test_a_drift_is_explained_in_its_recording_and_not_expected_in_the_test():
     assert tested.steps[0].confirmed is None
 
 
+@pytest.mark.parametrize("rate", [0.0, 0.4])
+def test_a_drift_of_the_fit_is_not_expected_in_new_recordings(rate):
+    """Neither a comparison nor a diagnosis of changes takes its absence for a change."""
+    arm = plant.demo_arm(ROBOT, hidden=None)
+    base = recorded(arm.with_effects(plant.BiasDrift(0, rate=0.8)), 1, step=0.004, name="base")
+    fit = lieid.identify(MODEL.with_effect("bias_drift:1"), base)
+    new = recorded(arm.with_effects(plant.BiasDrift(0, rate=rate)), 2, step=0.004, name="new")
+    diagnosis = lieid.diagnose(fit, new)
+    found = {step.label: step.parameters["r"] for step in diagnosis.steps}
+    assert found == ({"bias_drift:1": pytest.approx(rate, abs=0.02)} if rate else {})
+    np.testing.assert_allclose(diagnosis.fit.values, fit.values)
+
+
 def test_drifts_of_each_recording_are_in_the_model_beside_the_effect_of_the_arm():
     arm, train = plant.demo_arm(ROBOT, hidden=None), []
     arm = arm.with_effects(plant.hidden_effect(arm, "load_friction", 0, strength=1.0))
