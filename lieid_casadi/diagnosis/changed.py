@@ -1,10 +1,10 @@
 """What has changed since a fit: its model is kept, and new recordings are explained by additions.
 
-The search is that for missing effects, with five differences: the fit's parameters may move within
+The search is that for missing effects, with six differences: the fit's parameters may move within
 their uncertainty only (rows of a prior), so that none is taken for a change; the noise is that of
 the fit on held-out data, per independent sample; effects are searched for on joints whose error is
 larger than on other motion; columns of delays belong to their coefficients, since no fit follows;
-smooth functions contain what is linear in their signals.
+late friction is no rival of delays; smooth functions contain what is linear in their signals.
 """
 
 from __future__ import annotations
@@ -72,6 +72,7 @@ def diagnose_changed(
         wanted=lambda c: c.reaches_all or bool(raised[c.joint]),
         prior=prior_rows(with_weak_free(fit.covariance), known=LEAST_KNOWN),
         noise=noise,
+        beside_friction=False,  # a joint that sticks for a moment at reversals did so before
     )
     every, rejected = _changes(found, spread, raised, most, options)
     report("describe the changes", 0.8)

@@ -12,9 +12,8 @@ from lieid_casadi.errors import EffectError
 class BiasDrift(ArmEffect):
     """A bias that grows with time: τ = r·(t − t̄), r in N·m/s, t̄ the mean time of the recording.
 
-    It does not carry over to another recording: predictions of other recordings and exported code
-    omit it. The option is the number of recordings of the fit, in each of which it has another rate
-    r1, r2, …; without, all have the same one.
+    It does not carry over to other recordings: predictions of these and exported code omit it. The
+    option is the number of recordings of the fit, each with its own rate r1, r2, … in place of one.
     """
 
     name = "bias_drift"

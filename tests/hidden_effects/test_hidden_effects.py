@@ -88,6 +88,19 @@ def test_a_changed_delay_is_told_from_a_filter_by_consistent_columns(name, label
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("effect", ["torque_delay", "torque_lowpass"])
+def test_a_changed_delay_of_less_than_a_sample_is_no_late_friction(effect):
+    """A joint that sticks for a moment at its reversals did so when the fit was made."""
+    (step,) = scored(f"changed-single-{effect}-5x-252")["steps"]
+    assert step["effect"] == effect
+
+
+@pytest.mark.slow
+def test_drifts_with_another_rate_in_each_recording_are_one_effect():
+    assert_enough(["missing-single-bias_drift-2x-256", "missing-pair-156"], 1.0)
+
+
+@pytest.mark.slow
 def test_a_ripple_beside_a_function_of_the_angle_is_a_piece_of_its_form():
     (step,) = scored("changed-foreign-bump-2x-0")["steps"]
     assert (step["effect"], step["depends_on"]) == ("smooth", ["q6"])
