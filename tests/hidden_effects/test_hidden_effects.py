@@ -89,7 +89,7 @@ def test_a_changed_delay_is_told_from_a_filter_by_consistent_columns(name, label
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", ["torque_delay", "torque_lowpass"])
-def test_a_changed_delay_of_less_than_a_sample_is_no_late_friction(effect):
+def test_a_changed_delay_is_no_late_friction(effect):
     """A joint that sticks for a moment at its reversals did so when the fit was made."""
     (step,) = scored(f"changed-single-{effect}-5x-252")["steps"]
     assert step["effect"] == effect
