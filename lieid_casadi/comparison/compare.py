@@ -56,8 +56,7 @@ def compare(fit: Fit, recordings: Recording | Sequence[Recording]) -> Comparison
 def compared_segments(fit: Fit, recordings: Sequence[Recording]) -> tuple[Processed, ...]:
     """Return segments, processed as those of a fit but for averaged periods, with its numbers."""
     segments, _ = center_temperature(process(recordings, fit.processing), fit.temperature_mean)
-    of_fit = fit.provenance.number
-    return tuple(replace(s, number=of_fit(Source.of(s.recording))) for s in segments)
+    return tuple(replace(s, number=fit.provenance.number(Source.of(s.recording))) for s in segments)
 
 
 def compare_segments(

@@ -197,7 +197,7 @@ def list_candidates(
     found: list[Candidate] = []
     if not moves.any():
         return ()
-    recordings = len({segment.number for segment in segments})
+    recordings = 1 + max(segment.number or 0 for segment in segments)
     for effect in usable(model.library)[0].values():
         if effect.option and not effect.whole_arm and (model_fixed or not is_form(effect)):
             continue  # of variants, only those of the whole arm and other forms

@@ -250,14 +250,15 @@ def _prepared(
 ) -> tuple[Compiled, tuple[Processed, ...], Array | None, list[LieidWarning]]:
     """Return the compiled model, processed segments, mean temperatures (n,), and warnings."""
     check_recordings(model, given)
-    for p in model.placements:
-        if p.effect.per_recording and p.effect.option not in ("", f"{len(given)}"):
-            raise EffectError(f"{p.label}: the fit has {len(given)} recordings, not as many")
     compiled = compile(model)
     report("check", 0.0)
     found = [w for recording in given for w in check(recording, model.robot)]
     report("process", 0.1)
     segments, mean = center_temperature(process(given, processing))
+    count = 1 + max(segment.number or 0 for segment in segments)
+    for p in (p for p in model.placements if p.effect.per_recording and p.effect.option):
+        if int(p.effect.option) < count:
+            raise EffectError(f"{p.label}: found {count} recordings; use {p.effect.name}/{count}")
     found += fit_warnings.relative_torque(model.robot, given)
     found += [*model.robot.warnings, *(w for segment in segments for w in segment.warnings)]
     return compiled, segments, mean, found

@@ -110,8 +110,8 @@ def test_the_drift_of_each_recording_has_its_own_rate(tmp_path):
         assert abs(row["value"] - rate) < 4.0 * row["std"] < 0.1
         assert np.all(lieid.compare(fit, recording).over_noise < 1.2)
     np.testing.assert_allclose(lieid.compare(fit, train).rms, fit.rms_train)
-    with pytest.raises(EffectError, match="bias_drift/3:1: the fit has 2 recordings"):
-        lieid.identify(fit.model, train[:2])
+    with pytest.raises(EffectError, match="found 4 recordings; use bias_drift/4"):
+        lieid.identify(fit.model, [*train, arm.recording(12.0, seed=9)])
     with pytest.raises(EffectError, match="bias_drift/one: expected a number of recordings"):
         lieid.Model(fit.model.robot, "bias_drift/one")
 

@@ -194,6 +194,23 @@ def test_a_drift_of_the_fit_is_not_expected_in_new_recordings(rate):
     np.testing.assert_allclose(diagnosis.fit.values, fit.values)
 
 
+def test_the_drift_of_a_recording_in_which_a_joint_rests_is_unknown():
+    t = np.arange(0.0, 15.0, 0.004)
+    arm, train = plant.demo_arm(ROBOT, hidden=None), []
+    for seed, rate in ((1, 0.5), (2, -0.3)):
+        q, dq, ddq = plant.FourierTrajectory(ROBOT, base_frequency=0.1, seed=seed).at(t)
+        if seed == 2:
+            q[:, 1], dq[:, 1], ddq[:, 1] = 0.3, 0.0, 0.0
+        drifting = arm.with_effects(*(plant.BiasDrift(j, rate=rate) for j in (0, 1)))
+        sensors = plant.demo_sensors(ROBOT)
+        train.append(plant.measure_along(drifting, t, q, dq, ddq, sensors=sensors, seed=seed))
+    steps = {step.label: step for step in lieid.diagnose(MODEL, train).steps}
+    assert steps.keys() == {"bias_drift/2:1", "bias_drift/2:2"}
+    assert steps["bias_drift/2:1"].parameters["r2"] == pytest.approx(-0.3, abs=0.02)
+    assert steps["bias_drift/2:2"].parameters["r1"] == pytest.approx(0.5, abs=0.02)
+    assert steps["bias_drift/2:2"].std["r2"] > 1.0
+
+
 def test_drifts_of_each_recording_are_in_the_model_beside_the_effect_of_the_arm():
     arm, train = plant.demo_arm(ROBOT, hidden=None), []
     arm = arm.with_effects(plant.hidden_effect(arm, "load_friction", 0, strength=1.0))
