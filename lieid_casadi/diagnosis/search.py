@@ -281,8 +281,8 @@ def _leaving(columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions)
 
     Those are changes in the course of a recording that are not certain, and with them all that are
     not in the path: they compete with effects where there is no such change. So do delays with what
-    makes dry friction late, beside which they are judged, and drifts with slow noise: where one is
-    not supported, all of its kind leave but those that are, and their rivals.
+    makes dry friction late, beside which they are judged: where one is not supported, all leave but
+    those that are, and their rivals.
     """
     owners = columns.owners
     found = {int(columns.owner[slot.group]): slot for slot in slots}
@@ -291,11 +291,9 @@ def _leaving(columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions)
     weak = {k for k, s in found.items() if k in how and s.evidence.gain_certainty < sure[how[k]]}
     leaving = how.keys() - (found.keys() - weak) if weak else set[int]()
     late = {int(k) for k in columns.owner[columns.delays]}
-    drifts = {k for k, c in enumerate(owners) if c.effect.per_recording}
-    for alike in (late, drifts):
-        kept = {owners[k].joints for k in alike & found.keys() if found[k].reason(options) is None}
-        if any(owners[k].joints not in kept for k in alike & found.keys()):
-            leaving |= {k for k in alike if owners[k].joints not in kept}
+    kept = {owners[k].joints for k in late & found.keys() if found[k].reason(options) is None}
+    if any(owners[k].joints not in kept for k in late & found.keys()):
+        leaving |= {k for k in late if owners[k].joints not in kept}
     return leaving
 
 

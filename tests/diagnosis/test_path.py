@@ -1,7 +1,6 @@
 """Paths and held-out errors by inner products, compared with least squares on the rows."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from lieid_casadi.diagnosis.folds import Folds
 from lieid_casadi.diagnosis.gates import elsewhere
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, Rules, Span, forward
-from lieid_casadi.diagnosis.search import LEAST_SUPPORT, _leaving
+from lieid_casadi.diagnosis.search import LEAST_SUPPORT
 from lieid_casadi.diagnosis.smooth_functions import cost_of
 from lieid_casadi.effects import Placement, make
 
@@ -349,17 +348,3 @@ def test_a_dead_band_counts_where_friction_neither_reverses_nor_rests():
     ]
     assert found[0] > 3.0
     assert found[1] < 0.0
-
-
-@pytest.mark.parametrize("supported", [True, False])
-def test_drifts_leave_the_path_where_one_is_not_supported(supported):
-    """They resemble slow noise. One that is supported stays, and others that are not in the path
-    may come as long as all are."""
-    names = ["bias_drift", "bias_drift", "bias_drift", "presliding"]
-    owners = [Candidate(Placement(make(name), j), np.zeros((1, 0))) for j, name in enumerate(names)]
-    columns = SimpleNamespace(owners=owners, owner=np.arange(4), delays=np.zeros(4, dtype=bool))
-    reasons = {0: None, 1: None if supported else "the held-out error does not fall", 3: "weak"}
-    slots = [
-        SimpleNamespace(group=k, reason=lambda options, why=why: why) for k, why in reasons.items()
-    ]
-    assert _leaving(columns, slots, DiagnosisOptions()) == (set() if supported else {1, 2})
