@@ -142,8 +142,10 @@ class Diagnosis:
         """The verdict, one sentence for each finding and each unexplained part."""
         parts = [event.sentence for event in self.events]
         parts += [finding(group, self.mode) for group in findings(self.steps, self.mode)]
-        own = {placement.label for placement in self.fit.model.placements}
-        new = [step.label for step in self.steps if step.joints and step.label not in own]
+        every = self.fit.model.placements
+        own: set[object] = {p.label for p in every}
+        own |= {(p.effect.name, p.joint) for p in every if p.effect.per_recording}
+        new = [s.label for s in self.steps if s.joints and not own & {s.label, (s.effect, s.joint)}]
         if new and self.mode == "changed":
             lacked = f"The fit does not model {join_words(new)}"
             parts.append(f"{lacked}; what its recordings hardly show may have acted before.")

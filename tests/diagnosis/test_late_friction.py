@@ -186,12 +186,13 @@ def test_a_drift_of_the_fit_is_not_expected_in_new_recordings(rate):
     """Neither a comparison nor a diagnosis of changes takes its absence for a change."""
     arm = plant.demo_arm(ROBOT, hidden=None)
     base = recorded(arm.with_effects(plant.BiasDrift(0, rate=0.8)), 1, step=0.004, name="base")
-    fit = lieid.identify(MODEL.with_effect("bias_drift:1"), base)
+    fit = lieid.identify(MODEL.with_effect("bias_drift/2:1"), base)
     new = recorded(arm.with_effects(plant.BiasDrift(0, rate=rate)), 2, step=0.004, name="new")
     diagnosis = lieid.diagnose(fit, new)
     found = {step.label: step.parameters["r"] for step in diagnosis.steps}
     assert found == ({"bias_drift:1": pytest.approx(rate, abs=0.02)} if rate else {})
     np.testing.assert_allclose(diagnosis.fit.values, fit.values)
+    assert not any("does not model" in sentence for sentence in diagnosis.sentences)
 
 
 def test_the_drift_of_a_recording_in_which_a_joint_rests_is_unknown():
