@@ -25,6 +25,7 @@ from lieid_casadi.identification.regression.variable_projection import (
 from lieid_casadi.messages import in_unit
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
+from lieid_casadi.recording.processed import recording_count
 
 LEAST_TEMPERATURE_RANGE = 0.5  # °C, of a joint: less is the resolution of a sensor
 GRID = 25  # values of one shape parameter; its square root for each of two
@@ -103,11 +104,6 @@ class Candidate:
     def effect(self) -> Effect:
         """The effect."""
         return self.placement.effect
-
-    @property
-    def follows_time(self) -> bool:
-        """Whether its torque is a function of time alone, as slow noise is."""
-        return self.effect.per_recording or bool(self.course and not self.effect.signals)
 
     @property
     def name(self) -> str:
@@ -197,7 +193,7 @@ def list_candidates(
     found: list[Candidate] = []
     if not moves.any():
         return ()
-    recordings = 1 + max(segment.number or 0 for segment in segments)
+    recordings = recording_count(segments)
     for effect in usable(model.library)[0].values():
         if effect.option and not effect.whole_arm and (model_fixed or not is_form(effect)):
             continue  # of variants, only those of the whole arm and other forms

@@ -121,11 +121,9 @@ def diagnose_changed(
 
 def _elsewhere(fit: Fit) -> Fit:
     """Return a fit as it predicts other recordings: without drifts, which hold for its own."""
-    drifts = [p for p in fit.model.placements if p.effect.per_recording]
-    gone = [any(map(column.belongs_to, drifts)) for column in fit.model.base_columns]
     parameters = fit.parameters.copy()
-    parameters[fit.model.base.kept[gone]] = 0.0
-    return replace(fit, values=np.where(gone, 0.0, fit.values), parameters=parameters)
+    parameters[fit.model.base.kept[fit.drifting]] = 0.0
+    return replace(fit, values=np.where(fit.drifting, 0.0, fit.values), parameters=parameters)
 
 
 def held_out_noise(fit: Fit) -> tuple[Noise, ...]:

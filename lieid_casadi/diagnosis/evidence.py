@@ -154,8 +154,10 @@ def judge(
     values = dict(zip(whole, np.split(both, ends.astype(int)), strict=False))
     torque = {g: outside[g] @ values[g] for g in whole}
     members = [_members(whole, path, outside, torque, columns.owner) for path in parts]
-    if not folds.apart:  # the noise of a part is known from the rows around it
-        slow = {g: () for g in whole if columns.candidate(g).follows_time}
+    if not folds.apart:  # functions of time alone are known around a part, as slow noise is
+        here = {g: columns.candidate(g) for g in whole}
+        slow = {g: () for g, c in here.items() if c.course and not c.effect.signals}
+        slow |= {g: () for g, c in here.items() if c.effect.per_recording}
         members = [own | slow for own in members]
     gains, expected = np.zeros((2, len(whole), folds.count))
     squares = np.zeros((folds.count, n + 1))

@@ -164,17 +164,18 @@ class Rows:
         )
 
     @cached_property
-    def pieces(self) -> dict[tuple[str, str], list[int]]:
-        """Segments of each recording, by its name and content, in their order."""
-        found: dict[tuple[str, str], list[int]] = {}
+    def pieces(self) -> dict[int | None, list[int]]:
+        """Segments of each recording, by its number, in their order."""
+        found: dict[int | None, list[int]] = {}
         for k, s in enumerate(self.segments):
-            found.setdefault((s.recording.name, s.recording.source_hash), []).append(k)
+            found.setdefault(s.number, []).append(k)
         return found
 
     @cached_property
     def recording_names(self) -> tuple[str, ...]:
         """Names of the recordings, in their order."""
-        return tuple(name or f"recording {k + 1}" for k, (name, _) in enumerate(self.pieces))
+        names = (self.segments[own[0]].recording.name for own in self.pieces.values())
+        return tuple(name or f"recording {k + 1}" for k, name in enumerate(names))
 
     @cached_property
     def starts(self) -> Array:

@@ -233,8 +233,7 @@ def recordings_of(
                 yield night, str(error)
                 continue
             fit, tool = valid_at(fits, day), valid_at(arm.tools, day)
-            maintained = any(first <= day <= last for first, last in arm.maintenance)
-            if fit is not None and not maintained:
+            if fit is not None and not any(a <= day <= b for a, b in arm.maintenance):
                 known = [(p.label, tuple(p.parameters.tolist())) for p in arm.payloads_at(day)]
                 yield (
                     replace(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lieid_casadi.arrays import Array
+from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.atomic_file import atomic_binary
 from lieid_casadi.compiled import Compiled, compile
 from lieid_casadi.errors import IdentificationError, LieidWarning, warning_list
@@ -107,6 +107,12 @@ class Fit:
     def fitted(self) -> tuple[Parameter, ...]:
         """Base parameters, then shape parameters: the entries of ``values`` and ``shapes``."""
         return (*self.model.base_columns, *self.model.shapes)
+
+    @property
+    def drifting(self) -> Mask:
+        """Marks the base parameters (p,) that hold for the fit's recordings only: of drifts."""
+        drifts = [p for p in self.model.placements if p.effect.per_recording]
+        return np.array([any(map(p.belongs_to, drifts)) for p in self.model.base_columns], bool)
 
     def predict(self, recording: Recording) -> Array:
         """Return the torque (N, n) at the recording's own times, N·m; finite everywhere.

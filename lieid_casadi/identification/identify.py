@@ -39,6 +39,7 @@ from lieid_casadi.identification.uncertainty.shape_intervals import open_interva
 from lieid_casadi.model import Model, as_model
 from lieid_casadi.recording import Processed, Processing, Recording, check, process
 from lieid_casadi.recording.conversion import is_torque_of_laws
+from lieid_casadi.recording.processed import recording_count
 from lieid_casadi.recording.recording import listed
 from lieid_casadi.robot import Robot
 
@@ -255,7 +256,7 @@ def _prepared(
     found = [w for recording in given for w in check(recording, model.robot)]
     report("process", 0.1)
     segments, mean = center_temperature(process(given, processing))
-    count = 1 + max(segment.number or 0 for segment in segments)
+    count = recording_count(segments)
     for p in (p for p in model.placements if p.effect.per_recording and p.effect.option):
         if int(p.effect.option) < count:
             raise EffectError(f"{p.label}: found {count} recordings; use {p.effect.name}/{count}")

@@ -125,6 +125,6 @@ class Provenance:
         return self.number(source) is not None
 
     def number(self, source: Source) -> int | None:
-        """Return the number, from 0, of that of these with which a recording shares samples."""
-        found = (k for k, each in enumerate(self.recordings) if source.overlaps(each))
-        return next(found, None)
+        """Return the number, from 0, of a recording: the same, or the first that shares samples."""
+        found = [k for k, each in enumerate(self.recordings) if source.overlaps(each)]
+        return min(found, key=lambda k: self.recordings[k] != source, default=None)

@@ -102,10 +102,7 @@ class LoadedRun:
         self.transport = parameter_transport(fit.model.robot.tool)
         self.to_base = base.combination[:, BODY * (n - 1) : BODY * n] @ self.transport
         self.names = [p.name.split(".")[0] for p in fit.model.base_columns]
-        effects = [p.effect for p in fit.model.placements for _ in p.effect.coefficients]
-        drifting = [*[False] * (BODY * n), *(effect.per_recording for effect in effects)]
-        self.drifting = np.array(drifting)[list(base.kept)]
-        self.values = np.where(self.drifting, 0.0, fit.values)
+        self.values = np.where(fit.drifting, 0.0, fit.values)
         self.root = square_root(fit.covariance)
         first = design.segments[0]
         step = float(np.median(np.diff(first.filtered_time)))
@@ -121,7 +118,7 @@ class LoadedRun:
 
     def estimate(self, free: Mask) -> LoadedRunEstimate:
         """Estimate the payload; ``free`` marks base columns (p,) whose values are unconstrained."""
-        free = free | self.drifting
+        free = free | self.fit.drifting
         noise, body = self.fit.noise, np.zeros(BODY)
         converged, before = False, self._residuals(self._rows(body), body)
         for _ in range(MOST_ITERATIONS):
@@ -300,7 +297,7 @@ def _changed_friction(
     """Warn of friction that differs from the fit's and was identified again."""
     before, after = rms(kept.after), rms(refitted.after)
     fall = np.nan_to_num(1.0 - after / np.where(before > 0.0, before, np.inf))
-    free = np.flatnonzero(frictional | run.drifting)
+    free = np.flatnonzero(frictional | run.fit.drifting)
     columns = run.fit.model.base_columns
     certain = np.abs(refitted.free) > CERTAIN * refitted.free_std
     parts = [

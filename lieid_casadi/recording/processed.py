@@ -271,6 +271,11 @@ def process(
     return tuple(done)
 
 
+def recording_count(segments: Sequence[Processed]) -> int:
+    """Return the number of the recordings of segments."""
+    return 1 + max(segment.number or 0 for segment in segments)
+
+
 def _too_short(segment: Recording, cutoff: float, trim: float) -> str | None:
     left = segment.duration - 2.0 * trim
     if len(segment) >= 5 and left >= 1.0 / cutoff:

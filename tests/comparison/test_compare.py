@@ -27,6 +27,7 @@ from lieid_casadi.errors import (
     RecordingError,
     SameRecordingWarning,
 )
+from lieid_casadi.identification.recording_checks import Provenance, Source
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +95,12 @@ def test_a_drift_is_that_of_the_training_recordings_alone():
     assert np.all(comparison.over_noise < 1.2)
     (elsewhere,) = lieid.compare(fit, rest).series
     assert np.std(elsewhere.error[:, 0]) == pytest.approx(0.5 * 7.0 / np.sqrt(12.0), rel=0.05)
+
+
+def test_a_part_is_itself_beside_others_that_overlap_with_it():
+    parts = [Source(f"run.csv@{ends}", "one hash") for ends in ("0:12", "10:20", "11:13", "30:40")]
+    provenance = Provenance("", tuple(parts[:2]))
+    assert [provenance.number(part) for part in parts] == [0, 1, 0, None]
 
 
 def test_the_drift_of_each_recording_has_its_own_rate(tmp_path):

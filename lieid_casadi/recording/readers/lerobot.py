@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +137,10 @@ def _frames(folder: Path, parquet: Any, options: ReadOptions) -> dict[str, Any]:
     chosen = [("episode_index", ">=", first)]
     if end is not None:
         chosen.append(("episode_index", "<", end))
-    for file in _data_files(folder, first, end):
+    for file in sorted((folder / "data").glob("*/*.parquet")):
+        own = _EPISODE_FILE.fullmatch(file.name)  # of version 2, which has a file per episode
+        if own is not None and not first <= int(own[1]) < (np.inf if end is None else end):
+            continue
         require_bounded_size(file)
         digest.update(file.read_bytes())
         with library_errors(file, "a data file of a LeRobot dataset"):
@@ -153,14 +156,6 @@ def _frames(folder: Path, parquet: Any, options: ReadOptions) -> dict[str, Any]:
     with library_errors(folder, "a dataset with as many motors in every file"):
         made: dict[str, Any] = {name: np.concatenate(parts) for name, parts in found.items()}
     return made | {"hash": digest.hexdigest()}
-
-
-def _data_files(folder: Path, first: int, end: int | None) -> Iterable[Path]:
-    """Return the data files in order; of version 2, which has a file per episode, the chosen."""
-    for file in sorted((folder / "data").glob("*/*.parquet")):
-        match = _EPISODE_FILE.fullmatch(file.name)
-        if match is None or (first <= int(match[1]) and (end is None or int(match[1]) < end)):
-            yield file
 
 
 def _numbers(rows: Any, where: str) -> Array:
