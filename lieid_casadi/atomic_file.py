@@ -50,8 +50,7 @@ def atomic_binary(path: str | Path, *, private: bool = False) -> Iterator[Binary
     """Binary file that takes its place only after it was written and closed without error.
 
     Symbolic links are followed and missing folders made. An existing regular file is replaced
-    atomically and keeps its mode and owner. A device, a pipe or a standard stream is written
-    through.
+    atomically and keeps its mode and owner. Devices, pipes and standard streams are written.
     """
     check_file(path)
     with reported(path):

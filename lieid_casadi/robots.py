@@ -1,7 +1,6 @@
 """The bundled robots.
 
-`lieid_casadi.Robot.load` and the command line accept these names. Their YAML files name the source
-of every number.
+`lieid_casadi.Robot.load` and the command line accept these names. Their YAML files name sources.
 """
 
 from __future__ import annotations

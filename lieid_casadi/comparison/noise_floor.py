@@ -264,8 +264,7 @@ def _unexplained(columns: Array, errors: Array, fold: Indices) -> Array:
 def _beside(columns: Array, errors: Array) -> Array:
     """Return the mean squares (S,) of noise in errors (N, S), part of which columns (N, k) take.
 
-    Least squares take a part of the noise from each band of frequencies: that which the columns'
-    span has of it.
+    Least squares take a part of the noise from each band: that which the columns' span has of it.
     """
     axes = independent_axes(columns, tolerance=DEPENDENCE)[0]
     rest = errors - axes @ (axes.T @ errors)

@@ -266,8 +266,8 @@ class BaseBlocks:
     """Blocks of ``size`` samples of a base regressor.
 
     Each joint has only its structurally nonzero columns, so that joint i's block has no zeros of
-    the links before it: ``columns[i]`` (p_i,) says which. Several threads may call `evaluate`, with
-    a buffer each.
+    the links before it: ``columns[i]`` (p_i,) says which. Several threads may call `evaluate`, each
+    with its buffer.
     """
 
     def __init__(

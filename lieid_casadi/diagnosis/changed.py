@@ -2,9 +2,10 @@
 
 The search is that for missing effects, with six differences: the fit's parameters may move within
 their uncertainty only (rows of a prior), so that none is taken for a change; the noise is that of
-the fit on held-out data, per independent sample; effects are searched for on joints whose error is
-larger than on other motion; columns of delays belong to their coefficients, since no fit follows;
-late friction is no rival of delays; smooth functions contain what is linear in their signals.
+the fit on held-out data, per independent sample; effects are searched for on joints whose error
+beside such parameters is larger than on other motion; columns of delays belong to their
+coefficients, since no fit follows; late friction is no rival of delays; smooth functions contain
+what is linear in their signals.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.comparison import Comparison, compare
 from lieid_casadi.diagnosis.candidates import Candidate, reason_against
 from lieid_casadi.diagnosis.evidence import Slot, coefficient_deviations, solved, undetermined
+from lieid_casadi.diagnosis.folds import independent_spread
 from lieid_casadi.diagnosis.options import DiagnosisOptions
-from lieid_casadi.diagnosis.path import PathState
+from lieid_casadi.diagnosis.path import PathState, Span
 from lieid_casadi.diagnosis.result import Diagnosis
 from lieid_casadi.diagnosis.rows import Rows
-from lieid_casadi.diagnosis.search import Round, residual_beside, search
+from lieid_casadi.diagnosis.search import Round, rest_beside, search
 from lieid_casadi.diagnosis.smooth_functions import CONTAINED, contains, followed_signals
 from lieid_casadi.diagnosis.step import Fall, Step
 from lieid_casadi.diagnosis.steps import (
@@ -48,6 +50,8 @@ from lieid_casadi.json_numbers import number_or_none
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Recording, process
 
+BEYOND = 2.0  # standard deviations that parameters move, on average, if the fit's are too small
+
 
 def diagnose_changed(
     fit: Fit,
@@ -64,27 +68,28 @@ def diagnose_changed(
     noise = held_out_noise(fit)
     spread = np.array([each.spread for each in noise])
     rows = Rows.of(_elsewhere(fit), segments, model_fixed=True)
-    most = options.least_misfit * np.array([each.motion_ratio for each in noise])
-    raised = _misfit(rows, spread, rows.residual) > most
+    prior = prior_rows(with_weak_free(fit.covariance), known=LEAST_KNOWN)
+    span = rows.span(independent_spread(noise), prior)
+    raised = _raised(rows, span, span.residual, rows.residual, noise)
     found = search(
         rows,
         options,
         wanted=lambda c: c.reaches_all or bool(raised[c.joint]),
-        prior=prior_rows(with_weak_free(fit.covariance), known=LEAST_KNOWN),
+        prior=prior,
         noise=noise,
         beside_friction=False,  # a joint that sticks for a moment at reversals did so before
     )
-    every, rejected = _changes(found, spread, raised, most, options)
+    every, rejected = _changes(found, raised, noise, options)
     report("describe the changes", 0.8)
     changes = [c for c in every if c.candidate.of_arm]
     differing = [difference_of(found, c.slot, of_model=True) for c in every if c not in changes]
     of_noise, rest = rows.expected_error(spread, 0.0 * fit.covariance), _rest(found, every)
+    misfit = _misfit(rows, noise, found.paths.span.of_joints(rest, rows.weights(found.spread)))
     ratio = np.nan_to_num(_moving(found, every, before) / of_noise)
     large = ratio > options.largest_error
-    within = large & ~(_misfit(rows, spread, rest) > options.largest_error)
+    within = large & ~(misfit > options.largest_error)
     steps = _steps(found, changes, before, large & ~within, options)
-    weighted = [r * w for r, w in zip(rest, rows.weights(found.spread), strict=True)]
-    beside = replace(found.paths.span, residual=np.concatenate(weighted))
+    beside = replace(found.paths.span, residual=rest)
     parts = unexplained_parts(
         ratio,
         large,
@@ -153,21 +158,35 @@ class _Change:
         return coefficient_deviations(self.values, self.covariance, known, tried)
 
 
+def _raised(
+    rows: Rows, span: Span, rest: Array, left: Sequence[Array], noise: Sequence[Noise]
+) -> Mask:
+    """Return the joints (n,) whose error is larger than the fit's on other motion.
+
+    That is what parameters within their uncertainty leave, ``rest`` (R + k,) of weighted rows and
+    prior; where they move beyond it, the error without this, ``left`` (R_j,) of each joint, N·m.
+    """
+    of_prior = rest[span.ends[-1] :]
+    expected = span.of_prior - float(np.sum(span.basis[span.ends[-1] :] ** 2))
+    if of_prior @ of_prior <= BEYOND**2 * expected:
+        left = span.of_joints(rest, rows.weights(independent_spread(noise)))
+    return _misfit(rows, noise, left) > np.array([each.motion_ratio for each in noise])
+
+
 def _changes(
-    found: Round, spread: Array, raised: Mask, most: Array, options: DiagnosisOptions
+    found: Round, raised: Mask, noise: Sequence[Noise], options: DiagnosisOptions
 ) -> tuple[list[_Change], dict[str, str]]:
     """Return the changes that pass, and the reasons against the others.
 
     They are examined together, one is left out, the last of the path first, and the others are
-    examined again. A change without which no error is above ``most`` (n,), relative to the
-    noise, is not needed.
+    examined again. A change without which no error is `_raised` is not needed.
     """
     rejected: dict[str, str] = {}
     slots = list(found.slots)
     while True:
         changes = _fitted(found, slots)
         for change in reversed(changes):
-            reason = _reason(found, spread, changes, change, raised, most, options)
+            reason = _reason(found, changes, change, raised, noise, options)
             if reason is not None:
                 rejected[change.candidate.label] = reason
                 slots = [slot for slot in slots if slot is not change.slot]
@@ -178,11 +197,10 @@ def _changes(
 
 def _reason(
     found: Round,
-    spread: Array,
     changes: Sequence[_Change],
     change: _Change,
     raised: Mask,
-    most: Array,
+    noise: Sequence[Noise],
     options: DiagnosisOptions,
 ) -> str | None:
     """Return why a change is left out, or None."""
@@ -193,9 +211,10 @@ def _reason(
     if any(contains(c.candidate, candidate) for c in changes[: changes.index(change)]):
         return CONTAINED
     others = _fitted(found, [c.slot for c in changes if c is not change])
-    if not (_misfit(found.rows, spread, _left(found, others)) > most).any():
+    rest, left = _rest(found, others), _left(found, others)
+    if not _raised(found.rows, found.paths.span, rest, left, noise).any():
         return "without it the error is as expected of the fit"
-    fall = float(_falls(found, spread, changes, change)[raised].max(initial=-np.inf))
+    fall = float(_falls(found, noise, changes, change)[raised].max(initial=-np.inf))
     if fall < options.worth_of_change:
         return f"where the error has risen, it lowers it by only {100 * max(fall, 0.0):.1f} %"
     if slot.evidence.deviations < options.gain_deviations:
@@ -237,24 +256,26 @@ def _fitted(found: Round, slots: Sequence[Slot]) -> list[_Change]:
     ]
 
 
-def _falls(found: Round, spread: Array, changes: Sequence[_Change], one: _Change) -> Array:
+def _falls(found: Round, noise: Sequence[Noise], changes: Sequence[_Change], one: _Change) -> Array:
     """Return the relative fall (n,) of each joint's error that the torque of a change causes.
 
     Of the model within its uncertainty and with all changes, the error is compared with what it
     is without the torque of the one. So neither an error that the uncertain parameters explain
     hides a change, nor do these parameters take the place of its torque.
     """
-    rest = _rest(found, changes)
+    span, weights = found.paths.span, found.rows.weights(found.spread)
+    rest = span.of_joints(_rest(found, changes), weights)
     torque = found.rows.columns.stacked(one.slot.group) @ one.values
-    parts = np.split(torque, found.paths.span.ends[1:-1])
-    before = _misfit(found.rows, spread, [r + t for r, t in zip(rest, parts, strict=True)])
-    after = _misfit(found.rows, spread, rest)
+    parts = np.split(torque, span.ends[1:-1])
+    before = _misfit(found.rows, noise, [r + t for r, t in zip(rest, parts, strict=True)])
+    after = _misfit(found.rows, noise, rest)
     return 1.0 - np.divide(after, before, out=np.ones(len(after)), where=before > 0.0)
 
 
-def _rest(found: Round, changes: Sequence[_Change]) -> list[Array]:
-    """Return what changes and parameters within their uncertainty leave of residuals, N·m."""
-    return residual_beside(found.paths, [c.slot.group for c in changes], found.rows, found.spread)
+def _rest(found: Round, changes: Sequence[_Change]) -> Array:
+    """Return what changes and uncertain parameters leave of weighted rows and prior (R + k,)."""
+    outside = found.paths.all_outside([c.slot.group for c in changes])
+    return rest_beside(found.paths.span, outside)
 
 
 def _left(found: Round, changes: Sequence[_Change]) -> list[Array]:
@@ -265,8 +286,9 @@ def _left(found: Round, changes: Sequence[_Change]) -> list[Array]:
     return np.split(left, found.paths.span.ends[1:-1])
 
 
-def _misfit(rows: Rows, spread: Array, errors: Sequence[Array]) -> Array:
+def _misfit(rows: Rows, noise: Sequence[Noise], errors: Sequence[Array]) -> Array:
     """Return the RMS of each joint's errors (R_j,) over the noise's (n,), also at reversals."""
+    spread = np.array([each.spread for each in noise])
     return _rms([e * w for e, w in zip(errors, rows.weights(spread), strict=True)])
 
 

@@ -419,8 +419,7 @@ def scan_peaks(
     """Return the values (P, 1) of a scanned shape parameter with the largest gains, and neighbours.
 
     Beside them of how many independent values these are the best. The columns are correlated with
-    the residual (N,) without being filtered, which is accurate enough to find candidates for a
-    grid.
+    the residual (N,) without being filtered, which is accurate enough to find a grid.
     """
     (shape,) = effect.shapes
     assert shape.scan is not None

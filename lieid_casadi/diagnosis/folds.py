@@ -24,8 +24,7 @@ class Folds:
 
     #: (K, R): rows of each part
     held: Mask
-    #: (K, R): these, and the rows within ``gap`` seconds of them, whose noise is correlated with
-    #: theirs
+    #: (K, R): these, and the rows within ``gap`` seconds of them, with correlated noise
     out: Mask
     gap: float
     apart: bool  # whether that is all that noise needs: a short period has no rows for more
@@ -88,6 +87,11 @@ def redundancy(noise: Noise) -> float:
     """Return the rows per independent sample: long-run variance of a noise over its variance."""
     long_run = (noise.sigma / max(abs(float(noise.filter.sum())), 1e-3)) ** 2
     return max(long_run / noise.spread**2, 1.0)
+
+
+def independent_spread(noise: Sequence[Noise]) -> Array:
+    """Return the standard deviation (n,) of each joint's noise per independent sample, N·m."""
+    return np.array([np.sqrt(redundancy(each)) * each.spread for each in noise])
 
 
 def places(rows: Rows, count: int) -> Indices:

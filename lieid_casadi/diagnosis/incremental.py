@@ -5,17 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
-import numpy as np
 
-from lieid_casadi.arrays import Array
-from lieid_casadi.effects.arm_effect import SegmentModel
 from lieid_casadi.effects.effect import Effect, Signals
-from lieid_casadi.effects.payload import Payload
+from lieid_casadi.effects.payload import AddedPayload, Payload
 from lieid_casadi.effects.registry import make
-
-LEAST_STEP = 1e-3  # N·m, of the load in the slope of load friction
-LEAST_MASS = 1e-3  # kg
-INERTIA = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
 
 
 class IncrementalEffect(Effect):
@@ -42,46 +35,6 @@ class IncrementalEffect(Effect):
     def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
         """Return the states after a step; ``before`` contains those at its beginning."""
         return self._effect.advance(before, now, shape)
-
-
-class AddedPayload(Payload):
-    """A payload on an arm that is not fitted again, with what follows from its mass and place.
-
-    That is the inertia of a point mass, and the change of the model's load friction.
-    """
-
-    linear = False
-
-    def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
-        """Return the columns (K, n, 4): columns · values is the whole change of the torque.
-
-        The inertia is homogeneous of degree one in m and m·c, which are the values, and therefore
-        equal to its gradient times the values. Load friction of a joint depends on the load of this
-        joint alone, so that its change is in proportion to the payload's torque there.
-        """
-        whole = arm.tool_regressor()
-        columns = whole[:, :, :4] + whole[:, :, 4:] @ _point_mass_gradient(values)
-        torque = columns @ values
-        step = np.where(np.abs(torque) > LEAST_STEP, torque, LEAST_STEP)
-        change = arm.joint_torque_at(arm.load + step) - arm.joint_torque_at(arm.load)
-        return np.asarray(columns * (1.0 + change / step)[:, :, None])
-
-
-def _point_mass_gradient(values: Array) -> Array:
-    """Return the gradient (6, 4) of the inertia of a point mass with respect to m and m·c.
-
-    The inertia is Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the origin; zero without a positive mass.
-    """
-    mass, moment = values[0], values[1:]
-    if mass < LEAST_MASS:
-        return np.zeros((6, 4))
-    rows = []
-    for i, j in INERTIA:
-        both = np.eye(3)[i] * moment[j] + np.eye(3)[j] * moment[i]
-        size = (moment @ moment if i == j else 0.0) - moment[i] * moment[j]
-        slope = (2.0 * moment if i == j else 0.0) - both
-        rows.append([-size / mass**2, *(slope / mass)])
-    return np.array(rows)
 
 
 def incremental(effect: Effect, present: Sequence[str]) -> Effect:

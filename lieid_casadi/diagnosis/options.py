@@ -35,8 +35,5 @@ class DiagnosisOptions:
     #: Error in motion above which a model is not sufficient, relative to the noise floor or, of a
     #: kept model, to noise and reversals. Simulations: complete models stay below it.
     largest_error: float = 1.5
-    #: Error of a kept model relative to noise and reversals above which something has changed.
-    #: Simulations.
-    least_misfit: float = 1.15
     #: Least relative fall of a joint's error by a change since a fit. Simulations.
     worth_of_change: float = 0.1

@@ -1,8 +1,7 @@
 """A greedy forward path over groups of columns, on all rows or on those outside a held-out part.
 
 The model's columns are projected out of the candidates once; a set of rows that is left out is a
-subtraction of inner products, so that a path costs a few products per step whatever the number
-of rows.
+subtraction of inner products, so that a path costs a few products per step for any number of rows.
 """
 
 from __future__ import annotations
@@ -58,6 +57,10 @@ class Span:
     def joint(self, j: int) -> slice:
         """Return the rows of joint j."""
         return slice(int(self.ends[j]), int(self.ends[j + 1]))
+
+    def of_joints(self, values: Array, weights: Sequence[Array]) -> list[Array]:
+        """Return weighted values (R,) as those of each joint (R_j,), without the weights."""
+        return [values[self.joint(j)] / weight for j, weight in enumerate(weights)]
 
     @property
     def of_prior(self) -> int:

@@ -81,8 +81,7 @@ class Diagnosis:
     uncertain : tuple of Unexplained
         Large errors of a kept model that the uncertainty of its parameters explains.
     motion : MotionGain or None
-        Of arms under commands: errors of the simulated motion of the first and the final fit on
-        held-out data.
+        Of arms under commands: errors of the first and the final fit's motion on held-out data.
     """
 
     mode: str

@@ -15,7 +15,7 @@ from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.diagnosis.candidates import Candidate, Course, CourseKind, is_form, reason_against
 from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.evidence import Slot, gains_of, judge, solved
-from lieid_casadi.diagnosis.folds import Folds, folds_of, redundancy
+from lieid_casadi.diagnosis.folds import Folds, folds_of, independent_spread, redundancy
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, PathState, Rules, Span, forward
 from lieid_casadi.diagnosis.rows import Rows
@@ -102,7 +102,7 @@ def search(
     rows = rows.with_candidates([c for c in rows.candidates if c.name != SMOOTH and wanted(c)])
     scale = rows.spread()
     if noise is not None:  # in the unit of the prior: per independent sample
-        scale = np.array([np.sqrt(redundancy(each)) * each.spread for each in noise])
+        scale = independent_spread(noise)
     rests = list[list[Array]]()
     for _ in range(2):  # on the first grid, then on finer ones around what it chose
         paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)))
@@ -355,10 +355,14 @@ def _alternatives(rows: Rows, candidate: Candidate) -> int:
 
 def residual_beside(paths: Paths, groups: Sequence[int], rows: Rows, spread: Array) -> list[Array]:
     """Return the residual of each joint beside the groups of a path, N·m."""
-    span, weights = paths.span, rows.weights(spread)
-    outside = np.hstack([np.zeros((len(span.residual), 0)), *paths.all_outside(groups)])
-    rest = span.residual - outside @ solved(outside.T @ outside, outside.T @ span.residual)
-    return [rest[span.joint(j)] / weight for j, weight in enumerate(weights)]
+    rest = rest_beside(paths.span, paths.all_outside(groups))
+    return paths.span.of_joints(rest, rows.weights(spread))
+
+
+def rest_beside(span: Span, outside: Sequence[Array]) -> Array:
+    """Return what further columns (R + k, c) outside a span leave of its residual (R + k,)."""
+    more = np.hstack([np.zeros((len(span.residual), 0)), *outside])
+    return span.residual - more @ solved(more.T @ more, more.T @ span.residual)
 
 
 def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:

@@ -255,8 +255,7 @@ def formula_of(rows: Rows, placement: Placement, own: Indices, values: Array) ->
     """Return a formula that is close to a fitted smooth function; empty if none is.
 
     Both are compared outside the span of the other columns of the model, which may contain any
-    part of either. ``own`` are the function's columns of ``rows.model``, ``values`` (k,) their
-    coefficients.
+    part of either. ``own`` are the function's columns of ``rows.model``, ``values`` (k,) theirs.
     """
     joint = placement.joint
     span = Span.of([np.delete(m, own, axis=1) for m in rows.model], rows.residual)

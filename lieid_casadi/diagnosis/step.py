@@ -43,8 +43,7 @@ class Rival:
 class Fall:
     """RMS error in motion on a step's joint without it, refitted, minus with it, N·m.
 
-    On the training recordings, on blocks of them that are held out, and on the test (None without
-    one).
+    On the training recordings, on blocks of them that are held out, and on the test, if any.
     """
 
     train: float | None

@@ -408,8 +408,7 @@ def other_forms(
 
     These are the variants of friction over speed for all of it, where a variant of what is computed
     along the arm takes the place of its kind only, and for all delays of a joint, or of the arm,
-    each of their rivals: hysteresis, filters and delays resemble each other between the points of
-    their grids.
+    each of their rivals: hysteresis, filters and delays are alike between the points of grids.
     """
     own, found = [a for a in accepted if a.joint == joint], []
     speed = [a for a in own if follows_velocity(a.candidate.effect)]

@@ -54,8 +54,7 @@ def discriminate(
     Parameters
     ----------
     fit : Fit
-        Its noise, link parameters and effects are used. Rivals that it contains keep their
-        fitted size.
+        Its noise, link parameters and effects are used. Rivals in it keep their size.
     effects : sequence of str, or of sequences
         ``stribeck:1``, each on one joint; a single one is separated from its absence. Several
         groups of rivals are separated by one motion: pairs are those within a group, beside the

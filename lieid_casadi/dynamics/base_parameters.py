@@ -1,8 +1,7 @@
 """Base parameters: the combinations of parameters that torques depend on.
 
 A change of parameters that leaves every torque unchanged expresses one column of the regressor by
-the others. Columns are scanned from the first to the last and kept if they are independent of
-those kept.
+the others. Columns are scanned in their order and kept if independent of those kept.
 
 These changes follow from the geometry, without sampling motions. Parameters π are invisible iff
 they leave the energy of every motion unchanged: kinetic energy zero, potential energy constant.

@@ -145,8 +145,7 @@ def gravity(
 def jacobian(robot: Robot, motion: Motion) -> ca.SX:
     """Return the tool's Jacobian J (6, n): [ω; v] of the tool's origin in base axes = J·q̇.
 
-    A wrench [m; f] that the tool exerts, in base axes at the tool's origin, adds Jᵀ·F to the
-    torque (Eq. 1).
+    A wrench [m; f] that the tool exerts, in base axes at the tool's origin, adds Jᵀ·F (Eq. 1).
     """
     rotations = [pose.rotation for pose in link_poses(robot, motion)]
     steps = [pose.translation for pose in relative_poses(robot, motion)[1:]]

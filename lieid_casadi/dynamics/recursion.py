@@ -117,8 +117,7 @@ def _centripetal(w: ca.SX, u: ca.SX) -> ca.SX:
 def link_wrench(link: ca.SX, body: LinkAcceleration) -> ca.SX:
     """Return E·A − ad_Vᵀ·(E·V) (6,), the wrench that moves a link with parameters (10,).
 
-    The inertia's moment I·α + ω × I·ω is written in the entries of K and ω̂², which the force
-    needs anyway.
+    The inertia's moment I·α + ω × I·ω is written in K and ω̂², which the force needs anyway.
     """
     moment, gradient = link[1:4], body.gradient
     force = link[0] * body.acceleration + ca.mtimes(gradient, moment)

@@ -178,8 +178,7 @@ class ArmEffect(Effect):
     def segment_columns(self, arm: SegmentModel, joint: int, values: Array) -> Array:
         """Return the columns (K, n, c) along a segment, of an effect on a joint (from 0).
 
-        ``values`` (c + s,): current coefficients, about which the columns are taken, then shape
-        parameters.
+        ``values`` (c + s,): current coefficients, about which the columns are taken, then shapes.
         """
 
     def instant_columns(self, arm: InstantModel, joint: int, values: ca.SX) -> ca.SX | None:

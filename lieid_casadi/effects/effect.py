@@ -306,8 +306,7 @@ class Effect(ABC):
         """Return the states at the sample ``now``, one expression per state.
 
         ``before`` are the signals of the sample before, with the states there in
-        ``before.state``; ``now`` is at any time after it. ``shape`` has the shape parameters by
-        name.
+        ``before.state``; ``now`` is at any time after it. ``shape`` has shapes by name.
         """
         raise NotImplementedError(f"effect {self.name} has states but no advance")
 

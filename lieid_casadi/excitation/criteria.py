@@ -285,8 +285,7 @@ class Quality:
     """How well the samples of a motion determine the parameters.
 
     Singular values (P,) are those of the stacked full regressor, SI, largest first; those beyond
-    the structural rank are rounding. ``neg_log_det`` is that of the base regressor's Gram matrix
-    (C4).
+    the structural rank are rounding. ``neg_log_det`` is that of the base regressor's Gram matrix.
     """
 
     singular_values: Array

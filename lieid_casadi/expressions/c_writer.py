@@ -1,8 +1,7 @@
 """CasADi expressions as C: one statement for each instruction of a function.
 
 CasADi eliminates common subexpressions and orders the work. A `Dialect` states how values are
-declared and how operations are written: scalars in exported code, vectors of samples in compiled
-batches.
+declared and how operations are written: scalars in exported code, vectors in compiled batches.
 """
 
 from __future__ import annotations

@@ -147,8 +147,7 @@ class EffectFunction:
 def _recurrence(a: Array, b: Array, initial: Array) -> Array:
     """Return x (…, K + 1) with x[…, k + 1] = a[…, k]·x[…, k] + b[…, k], for a and b (…, K).
 
-    The steps are composed within blocks of √K samples, in all blocks at once; then the blocks are
-    linked.
+    The steps are composed within blocks of √K samples, in all at once; then blocks are linked.
     """
     steps = a.shape[-1]
     block = max(int(np.sqrt(steps)), 1)

@@ -222,8 +222,7 @@ def _with_uncertainty(
 ) -> Fit:
     """Return a fit with what `Estimated` leaves out.
 
-    ``least`` has the least-squares values, ``state`` those of the fit; they differ if it is
-    ``consistent``.
+    ``least`` has the least-squares values, ``state`` those of the fit; they differ if consistent.
     """
 
     def errors(of: FitState) -> tuple[Array, Array]:

@@ -94,8 +94,7 @@ class Recording(Measurement):
         torque_constants
             (n,) N·m/A: currents become torques where there is no ``tau``.
         drives
-            (n) control laws, such as ``robot.drives``: commands become torques where there is
-            no ``tau``.
+            (n) control laws, such as ``robot.drives``: commands become torques without ``tau``.
 
         Raises
         ------

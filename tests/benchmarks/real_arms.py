@@ -2,6 +2,7 @@
 
     python tests/benchmarks/real_arms.py [--arms NAME…] [--forward] [--json FILE] [--record FILE]
     python tests/benchmarks/real_arms.py --further|--windows [--record FILE] [--best FILE]
+    python tests/benchmarks/real_arms.py --unchanged
 
 It needs the recordings that ``LIEID_RECORDINGS`` names (see tests/real_arms.py; tests of the suite
 read all of them) and prints a Markdown table: RMS errors of samples in motion, N·m, of the plain
@@ -10,7 +11,8 @@ fit, of the diagnosed model, and of the version of this program with the lowest 
 the geometric mean over the joints counts. One effect more or less moves a row by more than
 versions differ; ``--further`` has other cut-offs and stretches, to compare two versions by their
 mean; ``--windows`` has 24 random parts of 12 to 27 s, each tested on other recordings or parts, and
-four divisions of the TX40. Two references are made without a diagnosis: friction effects on every
+four divisions of the TX40; ``--unchanged`` states what a diagnosis of the same tests finds changed
+since a fit to the UR10e's, plain and with friction effects on every joint. Two references are made without a diagnosis: friction effects on every
 joint at once and, with ``--forward``, a selection by the cross-validated error alone, which tries
 every effect on every joint in turn. The processor time of a diagnosis is given in multiples of a
 fixed loop of linear algebra, since machines differ, and of an identification of the same model.
@@ -162,6 +164,19 @@ class Task:
         }
 
 
+def changes(key):
+    """Yield each test of an arm and what a diagnosis finds changed since a fit of its training."""
+    task = Task(EVERY[key])
+    for effects in ((), FRICTION):
+        model = task.model
+        for effect in effects:
+            model = model.with_effect(effect)
+        fit = task.fitted(model)
+        for name, test in task.tests.items():
+            said = f"{task.arm.name}{', friction on every joint' if effects else ''}, {name}"
+            yield said, [f"{s.label} ({s.status})" for s in lieid.diagnose(fit, test).steps]
+
+
 def timed(function):
     start = time.process_time()
     result = function()
@@ -289,6 +304,7 @@ def main():
     parser.add_argument(
         "--windows", action="store_true", help="random parts, six minutes on one core"
     )
+    parser.add_argument("--unchanged", action="store_true", help="changes since fits, four minutes")
     parser.add_argument("--best", type=Path, default=BEST, metavar="FILE", help="recorded runs")
     parser.add_argument("--forward", action="store_true", help="minutes for each arm")
     parser.add_argument("--json", type=Path, metavar="FILE", help="all rows")
@@ -296,6 +312,14 @@ def main():
     parser.add_argument("--version", default="this", help="its name there, such as a commit")
     args = parser.parse_args()
     warnings.simplefilter("ignore")
+    if args.unchanged:
+        keys = [key for key in (*ARMS, *WINDOWS) if key.startswith("ur10e")]
+        found = [each for key in keys for each in changes(key)]
+        for said, steps in found:
+            if steps:
+                show(f"{said}: {', '.join(steps)}")
+        show(f"{sum(bool(steps) for _, steps in found)} of {len(found)} tests have a change")
+        return
     show(
         "| arm and its training, test | effects found | plain | diagnosed | ratio | best so far "
         f"| to the best (goal ≤ {GOAL:g}) | friction on every joint | noise floor "

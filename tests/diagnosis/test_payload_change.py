@@ -53,3 +53,14 @@ def test_what_the_fit_does_not_model_may_have_acted_before(fit):
     found = lieid.diagnose(fit, replace(run, tau=run.tau + square * run.dq * np.abs(run.dq)))
     assert [step.label for step in found.steps] == ["viscous_polynomial:4"]
     assert "The fit does not model viscous_polynomial:4; what its recordings" in found.sentence
+
+
+def test_parameters_of_a_short_fit_do_not_take_a_change_beyond_their_uncertainty():
+    arm = plant.demo_arm(ROBOT, seed=0, hidden=None)
+    fit = lieid.identify(
+        lieid.Model(ROBOT, "coulomb,viscous,offset"), recorded(arm, 1, seconds=5.0)
+    )
+    run = recorded(arm, 3, seconds=12.0)
+    assert lieid.diagnose(fit, run).steps == ()
+    found = lieid.diagnose(fit, replace(run, tau=run.tau + np.array([0, 0, 0, 0, 0.3, 0, 0])))
+    assert [step.label for step in found.steps] == ["offset:5"]

@@ -19,6 +19,21 @@ def test_nothing_has_changed_between_motions(name):
     assert found.steps == ()
 
 
+@pytest.mark.parametrize(
+    ("start", "end", "name"),
+    [
+        (13.0, 29.0, "point_to_point"),
+        (13.0, 29.0, "excitation_30s"),
+        (34.0, 50.0, "point_to_point"),
+    ],
+)
+def test_nothing_has_changed_since_a_short_recording(start, end, name):
+    model = lieid.Model(lieid.Robot.from_urdf(UR10E / "ur10e.urdf"), "coulomb,viscous,offset")
+    part = ur10e_run("excitation_50s").cut(start, end)
+    fit = lieid.identify(model, part, processing=lieid.Processing(cutoff=7.0))
+    assert lieid.diagnose(fit, ur10e_run(name)).steps == ()
+
+
 def test_a_body_at_the_tool_is_named():
     bare = pin.buildModelFromUrdf(str(UR10E / "ur10e.urdf"))
     loaded = pin.buildModelFromUrdf(str(UR10E / "ur10e.urdf"))

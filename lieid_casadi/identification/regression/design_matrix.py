@@ -254,8 +254,7 @@ class Design:
     def rows(self, shapes: Array, link_parameters: Array | None) -> Rows:
         """Return the equations at shapes (s,) and the load by link parameters (None: no load).
 
-        Parameters are (10 n,), or (10 n + m,) with the coefficients that effects on the whole arm
-        need.
+        Parameters are (10 n,), or (10 n + m,) with coefficients for effects on the whole arm.
         """
         if self._rows is not None:
             return self._rows
