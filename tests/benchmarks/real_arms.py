@@ -12,10 +12,11 @@ the geometric mean over the joints counts. One effect more or less moves a row b
 versions differ; ``--further`` has other cut-offs and stretches, to compare two versions by their
 mean; ``--windows`` has 24 random parts of 12 to 27 s, each tested on other recordings or parts, and
 four divisions of the TX40; ``--unchanged`` states what a diagnosis of the same tests finds changed
-since a fit to the UR10e's, plain and with friction effects on every joint. Two references are made without a diagnosis: friction effects on every
-joint at once and, with ``--forward``, a selection by the cross-validated error alone, which tries
-every effect on every joint in turn. The processor time of a diagnosis is given in multiples of a
-fixed loop of linear algebra, since machines differ, and of an identification of the same model.
+since a fit to the UR10e's, plain and with friction effects on every joint. Two references are made
+without a diagnosis: friction effects on every joint at once and, with ``--forward``, a selection by
+the cross-validated error alone, which tries every effect on every joint in turn. The processor time
+of a diagnosis is given in multiples of a fixed loop of linear algebra, since machines differ, and
+of an identification of the same model.
 """
 
 import argparse
