@@ -50,7 +50,7 @@ def atomic_binary(path: str | Path, *, private: bool = False) -> Iterator[Binary
     """Binary file that takes its place only after it was written and closed without error.
 
     Symbolic links are followed and missing folders made. An existing regular file is replaced
-    atomically and keeps its mode and owner. Devices, pipes and standard streams are written.
+    atomically and keeps its mode and owner. Devices, pipes and streams are written through.
     """
     check_file(path)
     with reported(path):

@@ -7,7 +7,7 @@ columns of each joint are eliminated, so that only base parameters are solved fo
 Two errors are computed. The *free* one is that of a least-squares fit of all link parameters. The
 *stated* one takes the masses and inertias of the robot's description: per joint one factor from
 0.5 to 2 on their torque, and the joint's own friction and offset. The first needs no masses; the
-second also shows what free parameters absorb: a factor, the sign of all torques, the last zero.
+second also shows what parameters absorb: a factor, the sign of all torques, the last joint's zero.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ outermost at which the profile is below the χ² limit. Noise that is correlated
 deeper than independent rows would; the limit is raised by the ratio of the variance of the
 effect's parameters from `covariance` to that of independent rows (the scaling of a composite
 likelihood: Varin, Reid, Firth, Statistica Sinica 2011), and for other minima, whose columns may be
-slower, by the largest such ratio. Other shapes are eliminated to first order, others exactly.
+slower, by the largest ratio. Others are eliminated to first order, linear parameters exactly.
 """
 
 from __future__ import annotations
