@@ -130,7 +130,7 @@ class Compiled:
     For effects with memory the samples are one segment, in order, from its first one. Effects on
     the whole arm or on the measurement do not follow from the signals of one joint: models with
     such an effect are refused (use `lieid.symbolic`), or, with ``joint_effects_only``, the other
-    effects are evaluated alone. Every method raises `ModelError` for arrays of the wrong shape.
+    effects are evaluated alone. All raise `ModelError` for arrays of the wrong shape or kind.
     """
 
     def __init__(

@@ -166,9 +166,9 @@ def _raised(
     That is what parameters within their uncertainty leave, ``rest`` (R + k,) of weighted rows and
     prior; where they move beyond it, the error without this, ``left`` (R_j,) of each joint, N·m.
     """
-    of_prior = rest[span.ends[-1] :]
-    expected = span.of_prior - float(np.sum(span.basis[span.ends[-1] :] ** 2))
-    if of_prior @ of_prior <= BEYOND**2 * expected:
+    prior = slice(span.ends[-1], None)
+    expected = span.of_prior - float(np.sum(span.basis[prior] ** 2))
+    if rest[prior] @ rest[prior] <= BEYOND**2 * expected:
         left = span.of_joints(rest, rows.weights(independent_spread(noise)))
     return _misfit(rows, noise, left) > np.array([each.motion_ratio for each in noise])
 

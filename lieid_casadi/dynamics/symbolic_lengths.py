@@ -126,7 +126,7 @@ def symbolic_base(
     """Return base parameters whose combination has polynomials, and the lengths in them.
 
     ``numeric`` returns the base parameters of a robot. Raises `ModelError`: other columns are kept
-    with the robot's own lengths than with lengths in general, or an entry is no low polynomial.
+    with the robot's own lengths than with lengths in general, or entries are no polynomials.
     """
     own = numeric(robot)
 

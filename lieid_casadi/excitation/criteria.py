@@ -285,7 +285,7 @@ class Quality:
     """How well the samples of a motion determine the parameters.
 
     Singular values (P,) are those of the stacked full regressor, SI, largest first; those beyond
-    the structural rank are rounding. ``neg_log_det`` is that of the base regressor's Gram matrix.
+    the structural rank are rounding. ``neg_log_det`` is that of the base Gram matrix (C4).
     """
 
     singular_values: Array

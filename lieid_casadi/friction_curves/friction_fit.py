@@ -266,7 +266,7 @@ def _best_shapes(problem: SeparableProblem, initial: Array) -> Array:
     """Return the shapes (s,) of the best of several local searches.
 
     From the end of each every shape is scanned over its whole range beside the others and searched
-    again from the best value, until it is no better: one shape may hide in a narrow part.
+    again from the best value, until it is no better: a shape may hide in a part of it.
     """
     if not len(initial):
         return initial

@@ -42,7 +42,7 @@ def reference_bodies(model: Model, factor: Factor) -> tuple[Array, tuple[LieidWa
 
     The reference of a link is its nominal inertia; one that is physically impossible (flat, or
     violating the triangle inequalities) is corrected and a warning returned. Links without
-    nominal inertia get a sphere half-way to the next joint, all of the density that fits best.
+    nominal inertia get uniform spheres half-way to the next joint, of the density that fits best.
     """
     found: list[LieidWarning] = []
     links = []
