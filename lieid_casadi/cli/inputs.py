@@ -132,11 +132,7 @@ def fit_and_recordings(
 
 
 def recordings_of(
-    paths: Sequence[str],
-    args: Args,
-    source: lieid.Robot | lieid.Fit,
-    *,
-    any_unit: bool = False,
+    paths: Sequence[str], args: Args, source: lieid.Robot | lieid.Fit, *, any_unit: bool = False
 ) -> list[lieid.Recording]:
     """Load recordings; other units than SI are refused unless ``any_unit``.
 

@@ -110,9 +110,7 @@ KINDS: dict[str, Callable[[str], Any]] = {
     "port": _checked(int, lambda x: 1 <= x < 65536, "{}: expected a port, 1 to 65535"),
     "night": _checked(date.fromisoformat, bool, "{}: expected a date such as 2026-11-20"),
     "part": _checked(
-        float,
-        lambda x: 0.0 <= x < 1.0,
-        "expected a number from 0 to less than 1, found {!r}",
+        float, lambda x: 0.0 <= x < 1.0, "expected a number from 0 to less than 1, found {!r}"
     ),
 }
 

@@ -226,9 +226,7 @@ def _make_arguments(names: Sequence[str], kernels: Sequence[Kernel]) -> ctypes.A
 
 
 def _side_by_side(
-    parts: Sequence[Kernel | SparseFunction],
-    first_columns: Sequence[int],
-    shape: tuple[int, int],
+    parts: Sequence[Kernel | SparseFunction], first_columns: Sequence[int], shape: tuple[int, int]
 ) -> tuple[MatrixLayout, NDArray[np.intp]]:
     """Return the layout of parts side by side, and the order of their values in it."""
     none = np.zeros(0, dtype=np.int64)
@@ -271,10 +269,7 @@ class BaseBlocks:
     """
 
     def __init__(
-        self,
-        evaluation: Evaluation,
-        values: Mapping[str, Array],
-        size: int | None = None,
+        self, evaluation: Evaluation, values: Mapping[str, Array], size: int | None = None
     ) -> None:
         layout = evaluation.layout
         self._bound = evaluation.bind(values)

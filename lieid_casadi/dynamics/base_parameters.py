@@ -267,9 +267,7 @@ def _factor(value: Any, digits: int) -> tuple[str, str]:
 
 
 def base_parameters(
-    robot: Robot,
-    extra: Sequence[EnergyColumn | None] = (),
-    extra_names: Sequence[str] = (),
+    robot: Robot, extra: Sequence[EnergyColumn | None] = (), extra_names: Sequence[str] = ()
 ) -> BaseParameters:
     """Return the base parameters of [Y, further columns with names].
 

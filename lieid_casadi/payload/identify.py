@@ -289,10 +289,7 @@ def _fit_warnings(fit: Fit, recordings: Sequence[Recording]) -> list[LieidWarnin
 
 
 def _changed_friction(
-    run: LoadedRun,
-    kept: LoadedRunEstimate,
-    refitted: LoadedRunEstimate,
-    frictional: Mask,
+    run: LoadedRun, kept: LoadedRunEstimate, refitted: LoadedRunEstimate, frictional: Mask
 ) -> list[LieidWarning]:
     """Warn of friction that differs from the fit's and was identified again."""
     before, after = rms(kept.after), rms(refitted.after)
@@ -402,8 +399,7 @@ def identify_payload(
         )
     found += [*checked, *changed]
     result = replace(
-        _result(fit, run, estimate),
-        recordings=tuple(recording_checks.Source.of(r) for r in given),
+        _result(fit, run, estimate), recordings=tuple(recording_checks.Source.of(r) for r in given)
     )
     found += [w for segment in segments for w in segment.warnings]
     found += _payload_warnings(fit, result, estimate, kept.noise)

@@ -136,11 +136,7 @@ def _encoder(arm: Arm, motion: TrueMotion, sensors: Sensors, random: np.random.G
 
 
 def _velocity(
-    motion: TrueMotion,
-    encoder: Array,
-    rows: Indices,
-    sensors: Sensors,
-    random: np.random.Generator,
+    motion: TrueMotion, encoder: Array, rows: Indices, sensors: Sensors, random: np.random.Generator
 ) -> Array | None:
     if sensors.velocity == "none":
         return None

@@ -190,8 +190,7 @@ def _outliers(x: Array, steps: Array) -> Mask:
     leave, back = steps[:-1], -steps[1:]
     away = np.where(leave * back > 0.0, np.minimum(np.abs(leave), np.abs(back)), 0.0)
     usual = np.maximum(
-        OUTLIER * np.quantile(away, 0.99, axis=0),
-        OUTLIER_STEPS * np.median(np.abs(steps), axis=0),
+        OUTLIER * np.quantile(away, 0.99, axis=0), OUTLIER_STEPS * np.median(np.abs(steps), axis=0)
     )
     low, high = np.quantile(x, [0.005, 0.995], axis=0)
     reach = high - low

@@ -197,9 +197,7 @@ def premises_report(robot: lieid.Robot, found: lieid.PremiseCheck) -> str:
             table_section("", found.table, sentences=sentences, titles=True),
             *_next_commands(remedies or use),
             table_section(
-                "Tested",
-                make_table("", ("premise", "result"), rows),
-                text={"premise", "result"},
+                "Tested", make_table("", ("premise", "result"), rows), text={"premise", "result"}
             ),
         ],
     )
