@@ -171,7 +171,7 @@ def at_rest(model: Model, segments: Sequence[Processed]) -> list[LieidWarning]:
     ]
 
 
-def rough(method: str, rms_train: Array, rms_cv: Array, rows: Rows) -> list[LieidWarning]:
+def rough(rms_train: Array, rms_cv: Array, rows: Rows) -> list[LieidWarning]:
     """Return a warning where held-out data are predicted much worse than those of the fit."""
     sizes = [np.linalg.norm(own.torque) / np.sqrt(max(len(own.torque), 1)) for own in rows.joints]
     inexact = (rms_train > EXACT * np.array(sizes)) & (rms_cv > 0.0)
@@ -179,11 +179,10 @@ def rough(method: str, rms_train: Array, rms_cv: Array, rows: Rows) -> list[Liei
     ratio = float(np.exp(np.mean(np.log(ratios)))) if len(ratios) else 1.0
     if ratio < ROUGH:
         return []
-    near = "" if method == "feasible" else ", or --method feasible, which keeps links plausible"
     return [
         RoughFitWarning(
             f"the error of held-out data is {ratio:.1f} times that of the fit: the recordings "
-            f"determine its parameters roughly; record longer or more motion (lieid excite){near}"
+            f"determine its parameters roughly; record longer or more motion (lieid excite)"
         )
     ]
 

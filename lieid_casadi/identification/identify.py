@@ -231,9 +231,9 @@ def _with_uncertainty(
     (rms, rms_raw), certificate, ends = errors(state), None, None
     if consistent is not None:
         certificate = certify(design, consistent, rms, errors(least)[0])
-    covariance = fit_covariance(design, state)
+    covariance = fit_covariance(design, state, with_priors=fit.method != "ols")
     found = [*fit.warnings, *fit_warnings.limits_of_drives(design, least.rows)]
-    found += fit_warnings.rough(fit.method, rms, fit.rms_cv, state.rows)
+    found += fit_warnings.rough(rms, fit.rms_cv, state.rows)
     if least.scan is not None:
         intervals = shape_intervals(design, least, covariance)
         found += open_intervals(design, least, intervals)

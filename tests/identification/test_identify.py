@@ -139,26 +139,22 @@ def test_directions_that_are_not_excited_are_reported():
 
 
 @pytest.mark.parametrize(
-    ("duration", "method", "remedies"),
-    [(4.0, "wls", ["lieid excite", "--method feasible"]), (6.0, "feasible", ["lieid excite"]),
-     (20.0, "wls", [])],
-)  # fmt: skip
-def test_recordings_that_determine_the_parameters_roughly_are_reported(duration, method, remedies):
+    ("duration", "method", "rough"), [(4.0, "wls", 1), (6.0, "feasible", 1), (20.0, "wls", 0)]
+)
+def test_recordings_that_determine_the_parameters_roughly_are_reported(duration, method, rough):
     _, recording = measured(torque_noise=0.5, duration=duration)
     effects = "coulomb,viscous,offset,load_friction,torque_ripple,viscous_polynomial"
     fit = lieid.identify(
         lieid.Model(ROBOT, effects), recording, method=method, processing=Processing(cutoff=3.0)
     )
     found = [str(w) for w in fit.warnings if isinstance(w, RoughFitWarning)]
-    assert [r for r in ("lieid excite", "--method feasible") for text in found if r in text] == (
-        remedies
-    )
+    assert len([text for text in found if "lieid excite" in text]) == len(found) == rough
 
 
 @pytest.mark.parametrize(("error", "warnings"), [(1e-9, 0), (1e-2, 1)])  # of 1 N·m
 def test_an_exact_fit_is_not_rough(error, warnings):
     rows = SimpleNamespace(joints=[SimpleNamespace(torque=np.ones(10))])
-    found = fit_warnings.rough("wls", np.array([error]), np.array([2.0 * error]), rows)
+    found = fit_warnings.rough(np.array([error]), np.array([2.0 * error]), rows)
     assert len(found) == warnings
 
 

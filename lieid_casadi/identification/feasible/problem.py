@@ -29,7 +29,6 @@ from lieid_casadi.identification.regression.least_squares import Factor, unit_co
 from lieid_casadi.identification.regression.priors import sphere_between_joints
 from lieid_casadi.model import Model
 from lieid_casadi.robot.inertia import body_inertia, link_parameters, pseudo_inertia
-from lieid_casadi.robot.robot import Robot
 
 FLAT = 1e-6  # smallest ratio of second moments of a body that is used as it is
 CORRECTED_FLATNESS = 1e-3  # smallest ratio of second moments of a corrected body
@@ -85,17 +84,11 @@ def _with_spheres(model: Model, links: Array, factor: Factor) -> Array:
     missing = np.isnan(links[:, 0])
     if not missing.any():
         return links
-    spheres = np.array([_sphere(model.robot, i) for i in range(model.n)])
+    unit = (sphere_between_joints(model.robot, i) for i in range(model.n))
+    spheres = np.array([4.0 / 3.0 * np.pi * radius**3 * sphere for sphere, radius in unit])
     stated = np.where(missing[:, None], 0.0, links)
     density = _density(model, factor, stated, np.where(missing[:, None], spheres, 0.0))
     return np.where(missing[:, None], density * spheres, links)
-
-
-def _sphere(robot: Robot, i: int) -> Array:
-    """Return a sphere of unit density between joint i and the next one, or the tool."""
-    centre, radius = sphere_between_joints(robot, i)
-    mass = 4.0 / 3.0 * np.pi * radius**3
-    return link_parameters(mass, centre, 0.4 * mass * radius**2 * np.eye(3))
 
 
 def _density(model: Model, factor: Factor, stated: Array, spheres: Array) -> float:

@@ -290,15 +290,15 @@ def _parzen(size: int, lags: int) -> Array:
     return np.asarray(rfft(np.where(x < 0.5, near, far)).real)
 
 
-def fit_covariance(design: Design, state: FitState) -> Array:
-    """Return the covariance of values and shapes (p + s, p + s), and of what no row shows."""
+def fit_covariance(design: Design, state: FitState, *, with_priors: bool) -> Array:
+    """Return the covariance of values and shapes (p + s, p + s), ``with_priors`` if they have."""
     rows, values = state.rows, state.solution.values
     residuals, unit = rows.residuals(values), state.solution.unit_covariance
     if len(state.shapes):
         slopes = shape_columns(design, values, state.shapes, state.parameters)
         rows = with_columns(rows, slopes)
     factor = stacked(rows, state.weighting.rows)
-    known = known_before(factor, design, of_effects=False)
+    known = known_before(factor, design, of_effects=False) if with_priors else factor.r[:0]
     if len(state.shapes):
         unit = solve(with_rows(factor, design, known)).unit_covariance
     half = rows_per_independent(design.segments[0]) * unit @ known[:, :-1].T
