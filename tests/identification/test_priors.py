@@ -60,13 +60,14 @@ def test_short_recordings_of_slow_noise_predict_other_motion_better(monkeypatch)
     assert np.max(ratios) < 1.2
 
 
-@pytest.mark.parametrize("stated", ["no bodies", "of other masses", "a tenth"])
+@pytest.mark.parametrize("stated", ["no bodies", "of other masses", "a tenth", "negative"])
 def test_wrong_descriptions_cost_little(stated, monkeypatch):
     factors = np.exp(np.random.default_rng(0).uniform(-1.6, 1.6, ROBOT.n))
     links = {
         "no bodies": [None] * ROBOT.n,
         "of other masses": [f * j.link for f, j in zip(factors, ROBOT.joints, strict=True)],
         "a tenth": [0.1 * j.link for j in ROBOT.joints],
+        "negative": [-j.link for j in ROBOT.joints],
     }[stated]
     joints = [replace(j, link=x) for j, x in zip(ROBOT.joints, links, strict=True)]
     robot = replace(ROBOT, joints=tuple(joints))

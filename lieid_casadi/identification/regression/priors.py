@@ -101,11 +101,11 @@ def _of_links(independent: Array, model: Model, own: Indices, torque: float) -> 
     stated = robot.link_parameters if robot.has_inertia else np.zeros(10 * model.n)
     spheres = [sphere_between_joints(robot, i) for i in range(model.n)]
     masses = np.array([radius for _, radius in spheres])  # together as the stated ones, if any
-    masses *= max(float(stated[::10].sum()), 1.0) / masses.sum()
+    masses *= max(abs(float(stated[::10].sum())), 1.0) / masses.sum()
     for i, (joint, (sphere, _)) in enumerate(zip(robot.joints, spheres, strict=True)):
         link = slice(10 * i, 10 * i + 10)
         sizes, axes = np.linalg.eigh(pseudo_inertia(stated[link] + masses[i] * sphere))
-        root = axes * np.sqrt(np.maximum(sizes, 0.0))
+        root = axes * np.sqrt(np.abs(sizes))  # of impossible bodies, too
         half[:, link] = sums[:, link] @ parameter_transport(root)
         inertia = np.outer(joint.axis[:3], joint.axis[:3])[np.tril_indices(3)]
         rotors[link, i] = [float(not joint.revolute), 0.0, 0.0, 0.0, *inertia]
