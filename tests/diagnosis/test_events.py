@@ -147,7 +147,7 @@ def with_hidden(names, joint, strength):
 @pytest.mark.parametrize("brief", [True, False])
 def test_what_the_missing_effects_explain_is_no_event_in_the_end(monkeypatch, brief):
     """Beside the plain model friction that is larger at first looks like contact."""
-    run = recorded(with_hidden(["stribeck", "warm_up"], 0, 12.0), 8, seconds=12.0, name="run")
+    run = recorded(with_hidden(["stribeck", "warm_up"], 0, 40.0), 31, seconds=12.0, name="run")
     plain = lieid.identify(MODEL, run)
     assert transient_events(plain, [run])
     if brief:
