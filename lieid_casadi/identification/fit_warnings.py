@@ -182,7 +182,7 @@ def rough(rms_train: Array, rms_cv: Array, rows: Rows) -> list[LieidWarning]:
     return [
         RoughFitWarning(
             f"the error of held-out data is {ratio:.1f} times that of the fit: the recordings "
-            f"determine its parameters roughly; record longer or more motion (lieid excite)"
+            "determine its parameters roughly; record longer or more motion (lieid excite)"
         )
     ]
 

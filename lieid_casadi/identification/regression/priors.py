@@ -101,7 +101,7 @@ def _of_links(independent: Array, model: Model, own: Indices, torque: float) -> 
     stated = robot.link_parameters if robot.has_inertia else np.zeros(10 * model.n)
     spheres = [sphere_between_joints(robot, i) for i in range(model.n)]
     masses = np.array([radius for _, radius in spheres])  # together as the stated ones, if any
-    masses *= max(abs(float(stated[::10].sum())), 1.0) / masses.sum()
+    masses *= (abs(float(stated[::10].sum())) or 1.0) / masses.sum()
     for i, (joint, (sphere, _)) in enumerate(zip(robot.joints, spheres, strict=True)):
         link = slice(10 * i, 10 * i + 10)
         sizes, axes = np.linalg.eigh(pseudo_inertia(stated[link] + masses[i] * sphere))

@@ -291,7 +291,7 @@ def _parzen(size: int, lags: int) -> Array:
 
 
 def fit_covariance(design: Design, state: FitState, *, with_priors: bool) -> Array:
-    """Return the covariance of values and shapes (p + s, p + s), ``with_priors`` if they have."""
+    """Return the covariance of values and shapes (p + s, p + s), of a fit with priors or not."""
     rows, values = state.rows, state.solution.values
     residuals, unit = rows.residuals(values), state.solution.unit_covariance
     if len(state.shapes):
