@@ -256,13 +256,14 @@ def _without(state: State, leaving: Mapping[str, Rejection], *, refused: bool = 
 def plausible(state: State, added: Sequence[Accepted]) -> State:
     """Return the state with effects of plausible values in place of its own."""
     while True:
+        added = list({a.placement.label: a for a in added}.values())  # one may come back twice
         try:
             fit = state.search.fitted(added)
         except NoSolution:
             state, added = _first_half(state, added)
             continue
         state, kept = _with_plausible_values(state, fit, added)
-        if kept == list(added):
+        if kept == added:
             return replace(state, fit=fit, accepted=tuple(kept))
         added = kept
 
@@ -288,7 +289,6 @@ def _with_plausible_values(
         if reason is None:
             kept.append(found)
             continue
-        state = state.rejecting({found.placement.label: Rejection(reason)}, refused=True)
         have = {a.placement.label for a in (*added, *kept)} | state.refused
         forms = (
             form
@@ -296,7 +296,9 @@ def _with_plausible_values(
             if form.placement.label not in have
             and search.agreed(form.placement.label, form.joint, form.errors)
         )
-        kept += found.replaced or islice(forms, 1)
+        if found.placement.label not in state.refused:  # once: what stands for it is in already
+            kept += found.replaced or islice(forms, 1)
+        state = state.rejecting({found.placement.label: Rejection(reason)}, refused=True)
     return state, kept
 
 

@@ -83,9 +83,10 @@ def _searched(state: State, rows: Rows, report: Report) -> tuple[State, Round]:
     """Return the state with all effects that are added, and the last round.
 
     Limits of drives come first: where a drive delivers less than its law states, all of the torque
-    that the law states in addition looks like effects of the arm.
+    that the law states in addition looks like effects of the arm. What is implausible beside the
+    effects of one round may not be beside those of the next one.
     """
-    options, rounds = state.search.options, 0
+    options, rounds, implausible = state.search.options, 0, list[Accepted]()
     if any(c.name == LIMIT for c in rows.candidates):
         found = search(rows, options, wanted=lambda c: c.name == LIMIT, with_smooth=False)
         state = replace(state, unseen=UnseenMotion.of(rows, found.folds))
@@ -101,7 +102,8 @@ def _searched(state: State, rows: Rows, report: Report) -> tuple[State, Round]:
         before, state = state.apart, _with_set_apart(state, found)
         rounds += 1
         state = replace(state, unseen=UnseenMotion.of(rows, found.folds))
-        further = moving(plausible(state, [*state.accepted, *new]))
+        further = moving(plausible(state, [*state.accepted, *new, *(implausible if new else ())]))
+        implausible = [a for a in new if a.placement.label in further.refused]
         kept = all(each in further.accepted for each in state.accepted)
         if kept and np.nansum(np.log(further.fit.rms_cv / state.fit.rms_cv)) > 0.0:
             further = state.rejecting({a.placement.label: HIGHER for a in new}, refused=True)

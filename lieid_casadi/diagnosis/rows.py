@@ -202,11 +202,6 @@ class Rows:
             factors = factors * (self.recordings == recording)[:, None, None]
         return RowPart(recording, course, [factors[run.all] for run in self.runs])
 
-    def recording_parts(self) -> list[RowPart]:
-        """Return each recording; none if there is one only."""
-        count = len(self.recording_names)
-        return [self.part(k) for k in range(count if count > 1 else 0)]
-
     def course_parts(self, kind: CourseKind, count: int) -> list[RowPart]:
         """Return changes in the course of one recording, and of each of several.
 

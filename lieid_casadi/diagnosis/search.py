@@ -246,7 +246,8 @@ def _with_changes(rows: Rows, wanted: Callable[[Candidate], bool], *, in_course:
     every = (Candidate(p, np.zeros((1, 0))) for p in rows.fit.model.placements)
     fixed = [c for c in every if not (c.by_estimate or c.effect.shapes)]
     own = [c for c in fixed if rows.runs[c.joint].count and wanted(c)]
-    columns, recordings = rows.columns, rows.recording_parts()
+    columns, number = rows.columns, len(rows.recording_names)
+    recordings = [rows.part(k) for k in range(number if number > 1 else 0)]
     apart = [bool(c.effect.shapes) or c.effect.per_recording for c in columns.owners]
     plain = np.flatnonzero(~np.array(apart, dtype=bool)[columns.owner] & (columns.point == 0))
     changes = [

@@ -373,6 +373,14 @@ def test_the_nearest_rival_stands_for_an_effect_that_is_implausible(rivals, aske
     assert not state.refused
 
 
+def test_nothing_more_stands_for_an_effect_that_is_implausible_again():
+    stated = [Rival(r, r.partition(":")[0], (1,), "data") for r in ("coulomb:2", "presliding:2")]
+    first, again = accepted_as("coulomb:2"), accepted_as("stribeck:2", *stated)
+    state = searched(again, "coulomb:2", "presliding:2", agree=lambda *_: True)
+    found = gates.plausible(replace(state, refused=frozenset({"stribeck:2"})), [first, again])
+    assert found.fit == ["coulomb:2"]
+
+
 def test_effects_return_where_the_form_in_their_place_is_implausible():
     viscous, ripple = accepted_as("viscous_polynomial:1"), accepted_as("torque_ripple:2")
     form = replace(accepted_as("stribeck/exponent:1"), replaced=(viscous,))
@@ -394,6 +402,34 @@ def test_effects_return_where_the_form_in_their_place_is_not_needed(monkeypatch)
     assert found.accepted == (ripple, viscous)
     assert found.fit == ["torque_ripple:2", "viscous_polynomial:1"]
     assert found.rejected["stribeck/exponent:1"].reason == "not needed"
+
+
+def test_an_effect_that_returns_for_two_others_is_fitted_once():
+    viscous, ripple = accepted_as("viscous_polynomial:1"), accepted_as("torque_ripple:2")
+    found = gates.plausible(searched(None), [viscous, ripple, replace(viscous, replaced=(ripple,))])
+    assert found.fit == ["viscous_polynomial:1", "torque_ripple:2"]
+
+
+def test_an_effect_is_tried_again_beside_what_the_next_round_finds(monkeypatch):
+    """Alone it had taken over another torque, by which its values were implausible."""
+
+    hidden = ("load_friction", 0, 1.5), ("viscous_polynomial", 1, 10.0)
+    rounds, search = [], missing.search
+
+    def first_without(rows, options, *, wanted, **how):
+        rounds.append(wanted)
+        other = "viscous_polynomial:2" if len(rounds) == 1 else ""
+        return search(rows, options, wanted=lambda c: wanted(c) and c.label != other, **how)
+
+    def implausible(self, fit, found):
+        alone = "viscous_polynomial:2" not in fit.model.effects
+        return "implausible" if alone and found.placement.label == "load_friction:1" else None
+
+    monkeypatch.setattr(missing, "search", first_without)
+    monkeypatch.setattr(gates.Search, "reason_against", implausible)
+    diagnosis = lieid.diagnose(MODEL, *two_runs(*hidden))
+    assert len(rounds) == 2
+    assert {s.label for s in diagnosis.steps} == {"load_friction:1", "viscous_polynomial:2"}
 
 
 def searched(implausible, *labels, agree=None):
