@@ -162,26 +162,6 @@ class Columns:
             first += own.size * own.shape[1]
         return found
 
-    @cached_property
-    def support(self) -> Array:
-        """Effective number of rows of each group (G,): (Σu)²/Σu², with u = Σ c²/‖c‖² of a row.
-
-        That is (Σc²)²/Σc⁴ of a single column c. Some knots of a spline may have few rows.
-        """
-        squares = np.zeros(self.count)
-        for own in self.joints:
-            squares[own.columns] += np.einsum("rc,rc->c", own.matrix, own.matrix)
-        group = np.repeat(np.arange(len(self.size)), self.size)
-        scale = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 1e-300)
-        whole, fourth = np.zeros((2, len(self.size)))
-        for own in self.joints:
-            here, first = np.unique(group[own.columns], return_index=True)
-            if len(here):
-                part = np.add.reduceat(own.matrix**2 * scale[own.columns], first, axis=1)
-                whole[here] += part.sum(axis=0)
-                fourth[here] += np.einsum("rg,rg->g", part, part)
-        return np.divide(whole**2, fourth, out=np.zeros_like(whole), where=fourth > 0.0)
-
     def dense(self, group: int) -> list[Array]:
         """Return a group's columns on the rows of each joint: (R_j, k) each."""
         wanted, found = self.of_group(group), []

@@ -16,7 +16,7 @@ import numpy as np
 
 from lieid_casadi.arrays import Array
 from lieid_casadi.compiled import compile
-from lieid_casadi.diagnosis.candidates import Candidate, reason_against
+from lieid_casadi.diagnosis.candidates import Candidate, is_delay, reason_against
 from lieid_casadi.diagnosis.evidence import undetermined
 from lieid_casadi.diagnosis.final_model import FinalModel
 from lieid_casadi.diagnosis.motion import UnseenMotion
@@ -117,8 +117,11 @@ class State:
     unseen: UnseenMotion | None = None
 
     def wants(self, candidate: Candidate) -> bool:
-        """Return whether a candidate may be tried."""
-        return candidate.label not in self.refused
+        """Return whether a candidate may be tried; of delays of one torque the model has one."""
+        late = (a.candidate for a in self.accepted if is_delay(a.candidate))
+        every = candidate.reaches_all
+        same = any(every or c.reaches_all or c.joints == candidate.joints for c in late)
+        return candidate.label not in self.refused and not (is_delay(candidate) and same)
 
     def rejecting(self, rejected: Mapping[str, Rejection], *, refused: bool = False) -> State:
         """Return the state with effects rejected, which may be refused."""

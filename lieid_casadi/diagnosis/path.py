@@ -364,9 +364,8 @@ def _best(
     """
     columns, (gains, values) = state.paths.columns, found
     taken = np.isin(columns.owner, columns.owner[list(state.groups)])
-    if state.paths.span.of_prior:  # delays that nearly cancel resemble friction of another form
-        late = [g for g in state.groups if columns.delays[g]]
-        taken |= columns.delays & columns.reach[columns.reach[:, late].any(axis=1)].any(axis=0)
+    late = [g for g in state.groups if columns.delays[g]]  # two that nearly cancel are another form
+    taken |= columns.delays & columns.reach[columns.reach[:, late].any(axis=1)].any(axis=0)
     score = np.where(rules.usable & ~refused & ~taken, gains - rules.penalty, 0.0)
     while True:
         best = int(np.argmax(score)) if len(score) else 0

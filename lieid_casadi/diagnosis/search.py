@@ -27,9 +27,6 @@ from lieid_casadi.identification.uncertainty.noise_model import Noise, noise_of
 
 SMOOTH = Smooth.name
 REFINEMENT = (1 / 3, 2 / 3)  # positions between two grid points
-#: Effective number of rows that make up a column, (Σc²)²/Σc⁴: with fewer a single disturbance
-#: decides the coefficient.
-LEAST_SUPPORT = 5.0
 PROMISING = 0.5  # of its penalty that a group must gain to be in the paths outside held-out parts
 EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, by default
 #: What dry friction may do beside the model, by the names that effects have for it.
@@ -340,7 +337,7 @@ def _rules(
     cost[changing] = np.maximum(cost[changing], LEAST_CHANGE**2)
     return Rules(
         options.penalty * more * cost,
-        (columns.support > LEAST_SUPPORT) & ~np.array(barred, dtype=bool)[columns.owner],
+        ~np.array(barred, dtype=bool)[columns.owner],
         np.array([c.name == SMOOTH for c in columns.owners], dtype=bool)[columns.owner],
         allowed,
         options.most_steps,

@@ -180,6 +180,27 @@ def test_one_hidden_effect_is_named(name, joint, strength):
     assert step.evidence.deviations > 3.0
 
 
+@pytest.mark.parametrize("cutoff", [1.5, 2.5])
+def test_an_effect_of_one_fast_move_in_slow_motion_is_found(cutoff):
+    """Few rows have its torque: it was no candidate, and others imitated it."""
+
+    def moved(seed):
+        t = np.arange(0.0, 15.0, 0.001)
+        slow = plant.FourierTrajectory(ROBOT, base_frequency=1 / 15, seed=seed).at(t)
+        q, dq, ddq = (0.3 * x for x in slow)
+        z = (t - 7.0) / 0.25
+        speed = 5.0 * np.exp(-0.5 * z**2)
+        q[:, 1] += 0.25 * 5.0 * np.sqrt(2.0 * np.pi) * norm.cdf(z)
+        dq[:, 1] += speed
+        ddq[:, 1] -= speed * z / 0.25
+        return plant.measure_along(arm, t, q, dq, ddq, sensors=plant.demo_sensors(ROBOT), seed=seed)
+
+    arm = arm_with(("viscous_polynomial", 1, 10.0))
+    found = lieid.diagnose(MODEL, moved(1), moved(2), processing=lieid.Processing(cutoff=cutoff))
+    assert [step.label for step in found.steps] == ["viscous_polynomial:2"]
+    assert found.verdict == "effect_found"
+
+
 def test_every_number_of_a_step_is_that_of_the_final_fit():
     train, test = two_runs(LOAD_FRICTION)
     diagnosis = diagnosis_of(LOAD_FRICTION)
@@ -371,6 +392,16 @@ def test_the_nearest_rival_stands_for_an_effect_that_is_implausible(rivals, aske
     assert questions == asked
     assert found.refused == {"stribeck:2"}
     assert not state.refused
+
+
+def test_one_delay_or_filter_of_a_torque_is_searched_for():
+    """Of two a fit may leave either; rivals are compared in the place of the one that is found."""
+    labels = "torque_delay:2", "torque_delay:1", "torque_lowpass/common", "time_shift", "stribeck:2"
+    tried = candidates_of(*labels).values()
+    one = replace(searched(None), accepted=(accepted_as("torque_lowpass:2"),))
+    assert [c.label for c in tried if one.wants(c)] == ["torque_delay:1", "stribeck:2"]
+    whole = replace(one, accepted=(accepted_as("time_shift"),))
+    assert [c.label for c in tried if whole.wants(c)] == ["stribeck:2"]
 
 
 def test_nothing_more_stands_for_an_effect_that_is_implausible_again():
