@@ -16,12 +16,10 @@ import numpy as np
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.diagnosis.events import follows_commands, moves_enough
 from lieid_casadi.diagnosis.incremental import incremental
-from lieid_casadi.effects import ArmEffect, Effect, Placement, Shape
+from lieid_casadi.effects import ArmEffect, Effect, Placement
 from lieid_casadi.effects.registry import make, usable
-from lieid_casadi.identification.regression.variable_projection import (
-    ShapeRange,
-    command_error_range,
-)
+from lieid_casadi.identification.regression.resolved_shapes import least_resolved, shape_limits
+from lieid_casadi.identification.regression.variable_projection import ShapeRange
 from lieid_casadi.messages import in_unit
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed
@@ -29,18 +27,6 @@ from lieid_casadi.recording.processed import recording_count
 
 LEAST_TEMPERATURE_RANGE = 0.5  # °C, of a joint: less is the resolution of a sensor
 GRID = 25  # values of one shape parameter; its square root for each of two
-#: Time constants, relative to the longest segment: a shorter one is over before the first
-#: reversal, a longer one is a straight line in time.
-TIME_CONSTANTS = (0.05, 2.0)
-#: Least velocity scale in dead zones, in which the sign of the velocity is uncertain, and largest
-#: one relative to the top speed, beyond which a column is close to a polynomial.
-VELOCITY_SCALES = (3.0, 0.35)
-#: Least width of a hysteresis, in the distance that a joint passes in a sample at the speed of the
-#: dead zone: friction that builds up sooner changes its sign at another instant, and no more. Such
-#: a hysteresis is tried, so that no other effect is in its place, and refused.
-LEAST_WIDTH = 6.0
-LEAST_COUNTS = 4.0  # steps of the recorded position: a narrower deflection lies between two
-LEAST_SHAPE = 0.5  # of the least value that the motion resolves
 AT_BOUND = 0.02  # relative distance from a bound
 LEAST_DELAY = 1.0  # samples: a velocity from differences is late by as much, commands are held
 
@@ -234,27 +220,6 @@ def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Arr
     return np.array(list(product(*axes)))
 
 
-def shape_limits(shape: Shape, segments: Sequence[Processed], joint: int) -> tuple[float, float]:
-    """Return the bounds of a shape parameter that a joint's motion resolves, in its unit."""
-    if shape.resolved_by == "duration":
-        longest = max(float(segment.t[-1] - segment.t[0]) for segment in segments)
-        low, high = (part * longest for part in TIME_CONSTANTS)
-    elif shape.resolved_by == "speed":
-        top = max(float(np.percentile(np.abs(s.dq[:, joint]), 99.0)) for s in segments)
-        low = VELOCITY_SCALES[0] * max(float(s.dead_zone[joint]) for s in segments)
-        high = VELOCITY_SCALES[1] * top
-    elif shape.resolved_by == "distance":
-        low = LEAST_WIDTH * max(float(s.dead_zone[joint]) / s.rate for s in segments)
-        low = max(low, LEAST_COUNTS * max(float(s.position_step[joint]) for s in segments))
-        high = shape.upper
-    elif shape.resolved_by == "command_error":
-        low, high = command_error_range(segments, joint)
-    else:
-        return shape.lower, shape.upper
-    low = min(max(low, shape.lower), 0.5 * shape.upper)
-    return low, min(max(high, 2.0 * low), shape.upper)
-
-
 def _has_signals(effect: Effect, segments: Sequence[Processed], *, commanded: bool) -> bool:
     """Return whether the recordings have what an effect acts on: a torque signal, or commands."""
     if effect.commanded or effect.on_torque_signal:
@@ -322,13 +287,13 @@ def unresolved_shape(
 ) -> str | None:
     """A shape parameter that the motion does not resolve, such as a velocity in the dead zone."""
     for shape, value in zip(candidate.effect.shapes, shapes, strict=False):
-        least, _ = shape_limits(shape, segments, candidate.joint)
         if shape.data is not None:
             continue
+        least = least_resolved(shape, segments, candidate.joint)
         size = f"{shape.name} = {in_unit(f'{value:.2g}', shape.unit)}"
         if value >= shape.upper * (1.0 - AT_BOUND):
             return f"{size} is at the upper end of its range"
-        if value < LEAST_SHAPE * least or value <= shape.lower * (1.0 + AT_BOUND):
+        if value <= least * (1.0 + AT_BOUND):
             return f"{size} is below what this motion can resolve"
     return None
 

@@ -33,7 +33,7 @@ from lieid_casadi.identification.regression.least_squares import (
     Rows,
     independent_fraction,
 )
-from lieid_casadi.identification.regression.variable_projection import resolved_range
+from lieid_casadi.identification.regression.resolved_shapes import resolved_range
 from lieid_casadi.messages import in_unit
 from lieid_casadi.model import Model
 from lieid_casadi.recording import Processed, Recording, process

@@ -23,7 +23,7 @@ from lieid_casadi.effects.registry import make
 from lieid_casadi.errors import BoundWarning, DriveLimitWarning, EffectError, NoSolution
 from lieid_casadi.identification.identify import default_effects
 from lieid_casadi.identification.recording_checks import Source
-from lieid_casadi.identification.regression.variable_projection import command_error_range
+from lieid_casadi.identification.regression.resolved_shapes import command_error_range
 from lieid_casadi.recording import choose_cutoff, process
 from lieid_casadi.recording.filtering import lowpass
 from lieid_casadi.recording.spectrum import motion_band

@@ -20,12 +20,10 @@ from lieid_casadi.identification.regression.least_squares import (
     solve,
 )
 from lieid_casadi.identification.regression.priors import with_priors
+from lieid_casadi.identification.regression.resolved_shapes import resolved_range
 from lieid_casadi.identification.regression.shape_refinement import refine_shapes
 from lieid_casadi.identification.regression.shape_scan import ShapeScan
-from lieid_casadi.identification.regression.variable_projection import (
-    resolved_range,
-    shapes_of_data,
-)
+from lieid_casadi.identification.regression.variable_projection import shapes_of_data
 from lieid_casadi.model import Model
 
 Progress = Callable[[str, float], None]

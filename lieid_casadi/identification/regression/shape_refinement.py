@@ -15,11 +15,11 @@ import numpy as np
 from lieid_casadi.arrays import Array
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.least_squares import Rows
+from lieid_casadi.identification.regression.resolved_shapes import resolved_range
 from lieid_casadi.identification.regression.shape_scan import VANISHING, WeightedProjection
 from lieid_casadi.identification.regression.variable_projection import (
     ShapeRange,
     minimize_shapes,
-    resolved_range,
     shape_slopes,
 )
 

@@ -230,12 +230,6 @@ def forward_differences(
     return np.array(changes).reshape(len(shapes), len(here)).T
 
 
-#: Percentiles of |error| between which saturation is searched, and the lower one in a fit of drives
-#: whose law, and with it the stiffness, is known.
-COMMAND_ERRORS = (80.0, 99.5)
-KNOWN_STIFFNESS = 25.0
-
-
 def shape_slopes(
     design: Design, shapes: Array, links: Array | None
 ) -> list[tuple[int, int, Indices, Array]]:
@@ -283,39 +277,6 @@ def shape_columns(design: Design, values: Array, shapes: Array, links: Array | N
     for k, j, columns, slopes in shape_slopes(design, shapes, links):
         derivatives[j][:, k] += slopes @ values[columns]
     return derivatives
-
-
-def command_error_range(segments: Sequence[Processed], joint: int) -> tuple[float, float]:
-    """Return the errors of position control between which a joint in motion shows saturation, rad.
-
-    Those of the largest fifth for a stiffness that is not known: where torque saturates at smaller
-    errors than most of the recorded ones, the column of the effect is the recorded torque itself,
-    but for a constant, and every model fits.
-    """
-    drives = segments[0].recording.drives
-    least = COMMAND_ERRORS[0] if drives is None else KNOWN_STIFFNESS
-    sizes = []
-    for s in segments:
-        if s.command_error is not None:
-            moving = np.abs(s.dq[:, joint]) > s.dead_zone[joint]
-            sizes.append(np.abs(s.command_error[moving, joint]))
-    every = np.concatenate(sizes) if sizes else np.zeros(0)
-    low, high = np.percentile(every, (least, COMMAND_ERRORS[1])) if len(every) else (0.0, 0.0)
-    return float(low), float(high)
-
-
-def resolved_range(design: Design) -> ShapeRange:
-    """Return the bounds of the shapes, those of errors of position control within the recorded."""
-    whole = ShapeRange.of(design.model.shapes)
-    lower, upper = whole.lower.copy(), whole.upper.copy()
-    shapes = [(p.joint, shape) for p in design.model.placements for shape in p.effect.shapes]
-    for k, (joint, shape) in enumerate(shapes):
-        if shape.resolved_by == "command_error":
-            ends = command_error_range(design.segments, joint)
-            low, high = np.clip(ends, lower[k], upper[k])
-            if low < high:
-                lower[k], upper[k] = low, high
-    return ShapeRange(lower, upper)
 
 
 def _same_shape_groups(design: Design) -> list[list[int]]:

@@ -21,8 +21,9 @@ from lieid_casadi.errors import BoundWarning, LieidWarning
 from lieid_casadi.identification.regression.design_matrix import Design
 from lieid_casadi.identification.regression.fixed_point import FitState
 from lieid_casadi.identification.regression.least_squares import Rows, combine, solve
+from lieid_casadi.identification.regression.resolved_shapes import resolved_range
 from lieid_casadi.identification.regression.shape_scan import ShapeScan, WeightedProjection
-from lieid_casadi.identification.regression.variable_projection import resolved_range, shape_columns
+from lieid_casadi.identification.regression.variable_projection import shape_columns
 from lieid_casadi.identification.uncertainty.covariance import (
     residual_correlation_length,
     with_columns,
