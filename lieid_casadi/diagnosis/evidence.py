@@ -54,13 +54,8 @@ class Slot:
 
     @property
     def fall(self) -> float:
-        """Relative fall of the held-out error of its joint.
-
-        A part to which the others do not extend would decide alone: it counts less.
-        """
-        counts = np.minimum(1.0, BEYOND**2 * np.median(self.after) / np.maximum(self.after, 1e-300))
-        before, after = (float(counts @ squares) for squares in (self.before, self.after))
-        return 1.0 - float(np.sqrt(after / before)) if before > 0.0 else 0.0
+        """Relative fall of the held-out error of its joint."""
+        return fall_of(self.before, self.after)
 
     def reason(self, options: DiagnosisOptions, *, elsewhere: int = 0) -> str | None:
         """Return why the held-out parts do not support the effect, or None."""
@@ -70,6 +65,16 @@ class Slot:
         found, least = self.evidence.deviations, evidence_needed(options.gain_deviations, elsewhere)
         text = f"the gain on held-out parts is {found:.1f} of its standard errors (limit {least:g})"
         return text if found < least else None
+
+
+def fall_of(before: Array, after: Array) -> float:
+    """Return the relative fall of an error from sums of squares (K,) of the held-out parts.
+
+    A part to which the others do not extend would decide alone: it counts less.
+    """
+    counts = np.minimum(1.0, BEYOND**2 * np.median(after) / np.maximum(after, 1e-300))
+    less, more = float(counts @ before), float(counts @ after)
+    return 1.0 - float(np.sqrt(more / less)) if less > 0.0 else 0.0
 
 
 def evidence_needed(limit: float, elsewhere: int) -> float:

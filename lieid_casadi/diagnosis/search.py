@@ -14,7 +14,7 @@ import numpy as np
 from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.diagnosis.candidates import Candidate, Course, CourseKind, is_form, reason_against
 from lieid_casadi.diagnosis.columns import Columns
-from lieid_casadi.diagnosis.evidence import Slot, gains_of, judge, solved
+from lieid_casadi.diagnosis.evidence import Slot, fall_of, gains_of, judge, solved
 from lieid_casadi.diagnosis.folds import Folds, folds_of, independent_spread, redundancy
 from lieid_casadi.diagnosis.options import DiagnosisOptions
 from lieid_casadi.diagnosis.path import Paths, PathState, Rules, Span, forward
@@ -180,9 +180,8 @@ def _judged(
     so, after = judged(other, outside(first))
     slots, before = judged(whole, outside(alike))
     plain, smooth = _supported(slots, options), _supported(so, options)
-    needed = {paths.columns.candidate(g).joint for g in whole if rules.smooth[g]}
-    falls = gains_of(before, after) if paths.span.of_prior else before - after  # as in `shortened`
-    lower = falls.sum(axis=0) > 0.0
+    needed = {paths.columns.candidate(g).joint for g in {*whole} & {*other} if rules.smooth[g]}
+    lower = [fall_of(*of_joint) > 0.0 for of_joint in zip(before.T, after.T, strict=True)]
     better = alike | {j for j in first if smooth[j] and not plain[j]}
     better |= {j for j in first if lower[j] and 0 < smooth[j] < plain[j] + (j in needed)}
     better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}
@@ -202,7 +201,7 @@ def _lowers(
     before: Array, after: Array, folds: Folds, joint: int, options: DiagnosisOptions
 ) -> bool:
     """Return whether the squared errors (K,) of held-out parts fall by more than their scatter."""
-    if not after.any() or 1.0 - np.sqrt(after.sum() / before.sum()) < options.worth:
+    if fall_of(before, after) < options.worth:
         return False
     gains = gains_of(before, after)
     return folds.deviations(gains, np.ones(len(gains)), joint)[0] > options.gain_deviations
