@@ -181,7 +181,8 @@ def _judged(
     slots, before = judged(whole, outside(alike))
     plain, smooth = _supported(slots, options), _supported(so, options)
     needed = {paths.columns.candidate(g).joint for g in {*whole} & {*other} if rules.smooth[g]}
-    lower = [fall_of(*of_joint) > 0.0 for of_joint in zip(before.T, after.T, strict=True)]
+    fall = gains_of if paths.span.of_prior else fall_of  # the first as in `shortened`
+    lower = [np.sum(fall(b, a)) > 0.0 for b, a in zip(before.T, after.T, strict=True)]
     better = alike | {j for j in first if smooth[j] and not plain[j]}
     better |= {j for j in first if lower[j] and 0 < smooth[j] < plain[j] + (j in needed)}
     better |= {j for j in first if _lowers(before[:, j], after[:, j], folds, j, options)}

@@ -85,8 +85,7 @@ def resolved_range(design: Design) -> ShapeRange:
     shapes = [(p.joint, shape) for p in design.model.placements for shape in p.effect.shapes]
     for k, (joint, shape) in enumerate(shapes):
         if shape.resolved_by == "command_error":
-            ends = command_error_range(design.segments, joint)
-            low, high = np.clip(ends, lower[k], upper[k])
+            low, high = np.clip(command_error_range(design.segments, joint), lower[k], upper[k])
             if low < high:
                 lower[k], upper[k] = low, high
         elif shape.resolved_by == "speed":
