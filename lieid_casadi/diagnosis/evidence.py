@@ -70,11 +70,14 @@ class Slot:
 def fall_of(before: Array, after: Array) -> float:
     """Return the relative fall of an error from sums of squares (K,) of the held-out parts.
 
-    A part to which the others do not extend would decide alone: it counts less.
+    A part to which the others do not extend would decide alone: it counts less. One in which the
+    joint rests has no rows.
     """
-    counts = np.minimum(1.0, BEYOND**2 * np.median(after) / np.maximum(after, 1e-300))
-    less, more = float(counts @ before), float(counts @ after)
-    return 1.0 - float(np.sqrt(more / less)) if less > 0.0 else 0.0
+    if not before.any():
+        return 0.0
+    limit = max(BEYOND**2 * float(np.median(after[before > 0.0])), 1e-300)
+    counts = limit / np.maximum(after, limit)
+    return 1.0 - float(np.sqrt((counts @ after) / (counts @ before)))
 
 
 def evidence_needed(limit: float, elsewhere: int) -> float:

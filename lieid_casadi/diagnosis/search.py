@@ -198,14 +198,11 @@ def _supported(slots: Sequence[Slot], options: DiagnosisOptions) -> Counter[int]
     return Counter(slot.joint for slot in slots if slot.reason(options) is None)
 
 
-def _lowers(
-    before: Array, after: Array, folds: Folds, joint: int, options: DiagnosisOptions
-) -> bool:
+def _lowers(before: Array, after: Array, folds: Folds, j: int, options: DiagnosisOptions) -> bool:
     """Return whether the squared errors (K,) of held-out parts fall by more than their scatter."""
-    if fall_of(before, after) < options.worth:
-        return False
     gains = gains_of(before, after)
-    return folds.deviations(gains, np.ones(len(gains)), joint)[0] > options.gain_deviations
+    certain, _ = folds.deviations(gains, np.ones(len(gains)), j)
+    return fall_of(before, after) >= options.worth and certain > options.gain_deviations
 
 
 def _promising(paths: Paths, chosen: Sequence[Sequence[int]], rules: Rules) -> Indices:

@@ -114,3 +114,17 @@ def test_what_training_did_not_move_is_uncertain_on_a_test_that_moves_it():
     found = lieid.diagnose(MODEL, trained, recorded(ARM, 2, seconds=15.0))
     assert found.verdict == "unexplained"
     assert "which uncertain parameters explain: fit longer or larger motion" in found.sentence
+
+
+@pytest.mark.parametrize("effect", ["stribeck", "load_friction"])
+def test_an_effect_is_found_where_joints_move_one_after_the_other(effect):
+    """Of ten held-out parts eight have no rows of its joint: they say nothing against it."""
+    robot = lieid.robots.panda()
+    arm = plant.demo_arm(robot, hidden=None)
+    lacking = arm.with_effects(plant.hidden_effect(arm, effect, 1, strength=5.0))
+    model = lieid.Model(robot, "coulomb,viscous,offset")
+    runs = (one_after_the_other(lacking, seed) for seed in (1, 2))
+    found = lieid.diagnose(model, *runs)
+    (step,) = [step for step in found.steps if step.joint == 1]
+    assert step.label == f"{effect}:2"
+    assert step.fall.test > 0.5 * found.baseline["rms_test_moving"][1]
