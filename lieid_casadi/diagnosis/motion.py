@@ -112,12 +112,11 @@ class UnseenMotion:
         lower, upper = (
             np.array([getattr(c, end) for c in fit.model.columns]) for end in ("lower", "upper")
         )
-        found = []
-        for own, slope in zip(gram, sum(score, np.zeros((parts, count))), strict=True):
+        values = np.zeros((parts, count))
+        for k, (own, slope) in enumerate(zip(gram, sum(score, 0.0 * values), strict=True)):
             outside = (whole - own) / np.outer(size, size) + RIDGE * np.eye(count)
             change = np.linalg.solve(outside, slope / size) / size
-            values = np.clip(fit.effect_coefficients - change, lower, upper)
-            # without any play a joint has one angle less: all these models have the same states
-            values = np.where(values == 0.0, LEAST_PART * fit.effect_coefficients, values)
-            found.append(with_coefficients(fit, values))
-        return found
+            values[k] = np.clip(fit.effect_coefficients - change, lower, upper)
+        # without any play a joint has one angle less: all these models have the same states
+        least = LEAST_PART * np.abs(values).max(axis=0)
+        return [with_coefficients(fit, v) for v in np.where(values == 0.0, least, values)]
