@@ -241,15 +241,13 @@ class PathState:
     def gains(self, wanted: Mask | None = None, *, free: bool = False) -> tuple[Array, Array]:
         """Return the fall of the sum of squares (G,) of wanted groups, and coefficients (m,).
 
-        Groups with a column that lies in the span get no gain. Beside a kept model, which no fit
+        Groups of which no column is outside the span get no gain. Beside a kept model, which no fit
         follows, coefficients stay in the cells of their grid points unless they are ``free``.
         """
         columns, (low, high) = self.paths.columns, self.paths.columns.cells
         values, gram = np.zeros(columns.count), self.inner.copy()
-        own_part, least = (
-            np.maximum.reduceat(x, columns.start)
-            for x in (gram[columns.diagonal], LEAST_OWN_PART**2 * self.squares)
-        )
+        outside = gram[columns.diagonal] > LEAST_OWN_PART**2 * self.squares
+        used = np.logical_or.reduceat(outside, columns.start)
         gram[columns.diagonal] += RIDGE * self.squares
         for (groups, own), each in zip(columns.by_size, columns.within(gram), strict=True):
             if wanted is None or wanted[groups].any():
@@ -259,8 +257,7 @@ class PathState:
             beyond, (first, second) = values - np.clip(values, low, high), columns.pairs
             group = np.repeat(np.arange(len(columns.size)), columns.size)[first]
             gains -= np.bincount(group, beyond[first] * gram * beyond[second])
-        used = own_part > least if wanted is None else wanted & (own_part > least)
-        return np.where(used, gains, 0.0), values
+        return np.where(used if wanted is None else wanted & used, gains, 0.0), values
 
     def with_group(self, group: int) -> PathState:
         """Return the state with a further group."""

@@ -128,3 +128,39 @@ def test_an_effect_is_found_where_joints_move_one_after_the_other(effect):
     (step,) = [step for step in found.steps if step.joint == 1]
     assert step.label == f"{effect}:2"
     assert step.fall.test > 0.5 * found.baseline["rms_test_moving"][1]
+
+
+def each_at_its_own_time(arm, seed, *, joints):
+    """Measure, at 50 Hz, joints that move to random goals, each at its own times, with pauses."""
+    random, t = np.random.default_rng(seed), np.arange(0.0, 24.0, 0.002)
+    lower, upper = arm.robot.limit("position_lower"), arm.robot.limit("position_upper")
+    q = np.zeros((len(t), arm.robot.n)) + 0.5 * (lower + upper)
+    for joint in joints:
+        at, end = 0.0, 0.0
+        while end < t[-1]:
+            end += random.uniform(0.0, 0.8)
+            time, goal = random.uniform(0.3, 1.2), random.uniform(-0.25, 0.25)
+            u = np.clip((t - end) / time, 0.0, 1.0)
+            way = goal * (upper - lower)[joint] - at
+            q[:, joint] += way * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5)
+            at, end = at + way, end + time
+    q = gaussian_filter1d(q, 15, axis=0, mode="nearest")
+    dq = np.gradient(q, 0.002, axis=0)
+    sensors = plant.Sensors(rate=50.0, torque_noise=0.1)
+    motion = q, dq, np.gradient(dq, 0.002, axis=0)
+    return plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed)
+
+
+@pytest.mark.parametrize("joints", [(1,), (2, 3)])
+def test_a_payload_is_found_where_few_joints_move(joints):
+    """They show combinations of its mass and first moments, and of the links', that are known."""
+    robot = lieid.robots.panda()
+    arm = plant.demo_arm(robot, hidden=None)
+    model = lieid.Model(robot, "coulomb,viscous,offset")
+    fit = lieid.identify(model, each_at_its_own_time(arm, 3, joints=joints))
+    loaded = arm.with_effects(plant.Payload(1.0, (0.02, -0.01, 0.04), 1e-6))
+    found = lieid.diagnose(fit, each_at_its_own_time(loaded, 2, joints=joints))
+    assert [step.label for step in found.steps] == ["payload"]
+    for joint in joints:
+        assert found.steps[0].errors["rms_test_moving"][joint] < 0.3
+    assert not lieid.diagnose(fit, each_at_its_own_time(arm, 4, joints=joints)).steps
