@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc, ndtri
 
-from lieid_casadi.arrays import Array, Indices, Mask
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.diagnosis.columns import Columns
 from lieid_casadi.diagnosis.folds import Folds
 from lieid_casadi.diagnosis.options import DiagnosisOptions
@@ -57,6 +57,11 @@ class Slot:
         """Relative fall of the held-out error of its joint."""
         return fall_of(self.before, self.after)
 
+    @property
+    def beyond(self) -> bool:
+        """Whether the others do not extend to some part, so that its error is far beyond theirs."""
+        return bool(self.before.any() and _counts(self.before, self.after).min() < 1.0)
+
     def reason(self, options: DiagnosisOptions, *, elsewhere: int = 0) -> str | None:
         """Return why the held-out parts do not support the effect, or None."""
         if self.fall < options.worth:
@@ -68,16 +73,20 @@ class Slot:
 
 
 def fall_of(before: Array, after: Array) -> float:
-    """Return the relative fall of an error from sums of squares (K,) of the held-out parts.
-
-    A part to which the others do not extend would decide alone: it counts less. One in which the
-    joint rests has no rows.
-    """
+    """Return the relative fall of an error from sums of squares (K,) of the held-out parts."""
     if not before.any():
         return 0.0
-    limit = max(BEYOND**2 * float(np.median(after[before > 0.0])), 1e-300)
-    counts = limit / np.maximum(after, limit)
+    counts = _counts(before, after)
     return 1.0 - float(np.sqrt((counts @ after) / (counts @ before)))
+
+
+def _counts(before: Array, after: Array) -> Array:
+    """Return what each part counts (K,): one to which the others do not extend would decide alone.
+
+    One in which the joint rests has no rows.
+    """
+    limit = max(BEYOND**2 * float(np.median(after[before > 0.0])), 1e-300)
+    return np.asarray(limit / np.maximum(after, limit))
 
 
 def evidence_needed(limit: float, elsewhere: int) -> float:
@@ -134,7 +143,6 @@ def judge(
     whole: Sequence[int],
     parts: Sequence[Sequence[int]],
     friction: Mapping[str, Array],
-    steady: Mask,
 ) -> tuple[tuple[Slot, ...], Array]:
     """Return the effects of the path on all rows with their gains on the held-out parts.
 
@@ -145,9 +153,9 @@ def judge(
     ``parts`` are the paths that do not use each part. ``friction`` (R, n) is the change of torque
     if the dry friction of each joint is ``late`` or ``early``, or by that at ``rest``. A delay must
     explain more than the first: a joint that sticks for less than a sample at its reversals looks
-    the same there. A dead band must explain more than all: friction of simulators is early
-    (MuJoCo's ``solreffriction``), and a joint at rest needs no torque of its drive either. As these
-    columns are rough, what it explains on the rows ``steady`` (R + k,), away from both, counts.
+    the same there. A function or Stribeck friction must explain more than the last, where motion
+    begins and ends, and a dead band more than all: friction of simulators is early (MuJoCo's
+    ``solreffriction``), and a joint at rest needs no torque of its drive either.
     """
     span, columns = paths.span, paths.columns
     if span.of_prior:
@@ -184,8 +192,7 @@ def judge(
             without = held.errors([*rest, *beside]) if mine else complete
             # a part whose path lacks the effect counts with what the effect would be
             change = without - complete if mine else torque[group][held.rows]
-            at = steady if "rest" in kinds else None
-            less, more, size = (held.squares(x, at) for x in (without, complete, change))
+            less, more, size = (held.squares(x) for x in (without, complete, change))
             left, error, moved = (x[[*joints, n]].sum() for x in (less, more, size))
             gains[e, k], expected[e, k] = gains_of(left, error), gains_of(error + moved, error)
             before[e, k], after[e, k] = less, more
@@ -195,7 +202,7 @@ def judge(
         found.append(_slot(paths, folds, group, values[group], stand, *of_parts))
     of_arm = list(dict.fromkeys(_of_the_arm(slot, columns) for slot in found))
     if of_arm != list(whole):
-        return judge(paths, folds, of_arm, parts, friction, steady)
+        return judge(paths, folds, of_arm, parts, friction)
     return tuple(found), squares
 
 
@@ -313,13 +320,9 @@ class HeldOut:
             error = error - self._held[:, own] @ values
         return np.asarray(error)
 
-    def squares(self, errors: Array, at: Mask | None = None) -> Array:
-        """Return the sum of squares (n + 1,) of errors: of each joint, and the part's of the prior.
-
-        Of all held-out rows, or of those that are marked in ``at`` (R + k,).
-        """
+    def squares(self, errors: Array) -> Array:
+        """Return the sum of squares (n + 1,) of errors: of each joint, and of the prior's part."""
         squares = self._share * errors**2
-        squares = squares if at is None else squares * at[self.rows]
         return np.asarray(np.bincount(self._joint, weights=squares, minlength=self._n), float)
 
 

@@ -95,7 +95,11 @@ def independent_spread(noise: Sequence[Noise]) -> Array:
 
 
 def places(rows: Rows, count: int) -> Indices:
-    """Return the part of each instant of the common time line; time at rest does not count."""
+    """Return the part of each instant of the common time line; time at rest does not count.
+
+    Where joints move one after the other, a part has several stretches, so that it does not have
+    all that is known of a joint.
+    """
     used = np.zeros(len(rows.times))
     for run in rows.runs:
         used[run.all] = 1.0
@@ -105,7 +109,11 @@ def places(rows: Rows, count: int) -> Indices:
         if period := next(filter(None, periods), None):
             own = rows.recordings == k
             place[own] = rows.clock[own] % period / period
-    return np.minimum((count * place).astype(np.intp), count - 1)
+    numbers = [count * (k + 1) for k in range(len(rows.runs))]  # of stretches
+    every = [np.minimum((m * place).astype(np.intp), m - 1) % count for m in numbers]
+    moved = [run.all for run in rows.runs if run.count]
+    least = [min((len(np.unique(p[own])) for own in moved), default=0) for p in every]
+    return every[int(np.argmax(np.minimum(least, count // 2 + 1)))]  # the fewest stretches
 
 
 def _distance(times: Array, others: Array) -> Array:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lieid_casadi.arrays import Array, Indices, Mask
+from lieid_casadi.arrays import Array, Indices
 from lieid_casadi.comparison.noise_floor import FASTEST, WAVES
 from lieid_casadi.diagnosis.candidates import Candidate, Course, CourseKind, list_candidates
 from lieid_casadi.diagnosis.columns import (
@@ -37,7 +37,6 @@ from lieid_casadi.identification.uncertainty.noise_model import (
 )
 from lieid_casadi.recording import Processed
 
-REACH = 1.0  # periods of the cut-off frequency
 FEWEST = 5  # instants in a recording at which a change is tried
 
 
@@ -221,13 +220,6 @@ class Rows:
                 at = 1.0 / np.linspace(1.0 / length, 1.0 / fastest, count)
             found.append(self.part(k, Course(kind, at)))
         return found
-
-    @cached_property
-    def away_from_reversals(self) -> tuple[Mask, ...]:
-        """Whether each row is farther than `REACH` from reversals and rests of its joint."""
-        parts = [s.away_from_reversals(REACH / s.cutoff) for s in self.segments]
-        away = np.concatenate(parts)
-        return tuple(away[run.all, j] for j, run in enumerate(self.runs))
 
     @cached_property
     def friction_at_rest(self) -> tuple[Array, ...]:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from itertools import accumulate
-from operator import attrgetter
 
 import numpy as np
 
@@ -33,7 +32,7 @@ EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, b
 UNCERTAIN_FRICTION: dict[str, Callable[[Rows], Sequence[Array]]] = {
     "late": lambda rows: rows.shifted_friction(),
     "early": lambda rows: rows.shifted_friction(EARLY),
-    "rest": attrgetter("friction_at_rest"),
+    "rest": lambda rows: rows.friction_at_rest,
 }
 #: Effects of the model that may change in the course of a recording, at one of some instants or as
 #: waves with one of some periods. What viscous friction does so resembles dry friction.
@@ -165,9 +164,7 @@ def _judged(
         kind: in_span(paths.span, UNCERTAIN_FRICTION[kind](rows), rows.weights(spread))
         for kind in sorted(kinds if beside_friction else ())
     }
-    steady = np.concatenate(rows.away_from_reversals)
-    steady = np.pad(steady, (0, paths.span.of_prior), constant_values=True)
-    judged = partial(judge, paths, folds, friction=friction, steady=steady)
+    judged = partial(judge, paths, folds, friction=friction)
 
     def outside(smooth_first: Collection[int]) -> list[list[int]]:
         found = (forward(few, k, of_few, smooth_first=smooth_first) for k in range(folds.count))
@@ -289,7 +286,9 @@ def _leaving(columns: Columns, slots: Sequence[Slot], options: DiagnosisOptions)
     kept = {owners[k].joints for k in late & found.keys() if found[k].reason(options) is None}
     if any(owners[k].joints not in kept for k in late & found.keys()):
         leaving |= {k for k in late if owners[k].joints not in kept}
-    return leaving
+    vain = {s.joint for k, s in found.items() if owners[k].name == SMOOTH and s.beyond}
+    vain -= {slot.joint for slot in slots if slot.fall >= options.worth}
+    return leaving | {k for k, c in enumerate(owners) if c.name == SMOOTH and c.joint in vain}
 
 
 def _dependence(columns: Columns, noise: Sequence[Noise], *, independent: bool) -> Array:

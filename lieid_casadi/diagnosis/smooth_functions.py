@@ -23,7 +23,7 @@ from lieid_casadi.comparison.noise_floor import slow_functions
 from lieid_casadi.diagnosis.candidates import Candidate
 from lieid_casadi.diagnosis.columns import SegmentSignals
 from lieid_casadi.diagnosis.findings import number
-from lieid_casadi.diagnosis.path import Span
+from lieid_casadi.diagnosis.path import LEAST_OWN_PART, Span
 from lieid_casadi.diagnosis.rows import Rows
 from lieid_casadi.effects import Effect, Placement
 from lieid_casadi.effects.smooth import SIGNALS, TORQUE, Smooth
@@ -264,6 +264,7 @@ def formula_of(rows: Rows, placement: Placement, own: Indices, values: Array) ->
     both[span.joint(joint)] = np.column_stack([columns, rows.model[joint][:, own] @ values])
     outside = span.outside(both)
     rest, target = outside[:, :-1], outside[:, -1]
+    rest[:, _size(rest) < LEAST_OWN_PART * _size(both[:, :-1])] = 0.0  # the model has nearly all
     chosen: list[int] = []
     found, explained = np.zeros(0), 0.0
     while len(chosen) < MOST_TERMS and explained < CLOSE:
@@ -305,6 +306,5 @@ def _elementary(rows: Rows, placement: Placement) -> tuple[list[str], Array]:
 
 
 def _size(columns: Array) -> Array:
-    """Return the norms of columns, 1 for zeros."""
-    size = np.linalg.norm(columns, axis=0)
-    return np.where(size > 0.0, size, 1.0)
+    """Return the norms of columns; by those of zeros, zeros can be divided."""
+    return np.asarray(np.maximum(np.linalg.norm(columns, axis=0), 1e-300))

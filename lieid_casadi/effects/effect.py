@@ -219,9 +219,9 @@ class Effect(ABC):
         Whether it acts on the signal of a torque sensor or current, which arms under position
         control do not have.
     like_uncertain_friction : tuple of str
-        ``late``, ``early``: dry friction that reverses so looks much the same; ``rest``: friction
-        at rest does. A diagnosis counts what the effect explains besides; with ``rest``, away from
-        reversals and rest.
+        ``late``, ``early``: dry friction that reverses so looks much the same; ``rest``: that of a
+        joint at rest, of which a filter adds a part to its motion. A diagnosis counts what the
+        effect explains besides.
     energy : str or None
         ``"armature"`` or ``"offset"`` if link parameters can produce the same torque.
     option : str

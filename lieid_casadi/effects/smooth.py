@@ -94,6 +94,7 @@ class Smooth(Effect):
     }
     free_options = orthonormal = True
     candidate = False
+    like_uncertain_friction = ("rest",)
     revealed_by = "motion through the whole range of the signals, each at several values of others"
     confused_with = {
         "stribeck": "a function of the velocity contains it; prefer the effect with a name",

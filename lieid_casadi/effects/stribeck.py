@@ -30,6 +30,7 @@ class Stribeck(Effect):
         ),
     }
     signals: tuple[str, ...] = ("dq", "sign")
+    like_uncertain_friction = ("rest",)
     revealed_by = "reversals and constant speeds between the dead zone and a few times v_s"
     confused_with = {
         "coulomb": "similar where no speed is below v_s; move more slowly",

@@ -116,15 +116,17 @@ def test_what_training_did_not_move_is_uncertain_on_a_test_that_moves_it():
     assert "which uncertain parameters explain: fit longer or larger motion" in found.sentence
 
 
-@pytest.mark.parametrize("effect", ["stribeck", "load_friction"])
-def test_an_effect_is_found_where_joints_move_one_after_the_other(effect):
-    """Of ten held-out parts eight have no rows of its joint: they say nothing against it."""
+@pytest.mark.parametrize(
+    ("effect", "strength", "seeds"),
+    [("stribeck", 5.0, (1, 2)), ("load_friction", 5.0, (1, 2)), ("load_friction", 3.0, (5, 6))],
+)
+def test_an_effect_is_found_where_joints_move_one_after_the_other(effect, strength, seeds):
+    """Each held-out part has several stretches of time, so that most have rows of its joint."""
     robot = lieid.robots.panda()
     arm = plant.demo_arm(robot, hidden=None)
-    lacking = arm.with_effects(plant.hidden_effect(arm, effect, 1, strength=5.0))
+    lacking = arm.with_effects(plant.hidden_effect(arm, effect, 1, strength=strength))
     model = lieid.Model(robot, "coulomb,viscous,offset")
-    runs = (one_after_the_other(lacking, seed) for seed in (1, 2))
-    found = lieid.diagnose(model, *runs)
+    found = lieid.diagnose(model, *(one_after_the_other(lacking, seed) for seed in seeds))
     (step,) = [step for step in found.steps if step.joint == 1]
     assert step.label == f"{effect}:2"
     assert step.fall.test > 0.5 * found.baseline["rms_test_moving"][1]
@@ -151,6 +153,16 @@ def each_at_its_own_time(arm, seed, *, joints):
     return plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed)
 
 
+@pytest.mark.parametrize("seed", [13, 15])
+def test_friction_of_rests_is_no_effect_of_low_speeds(seed):
+    """A filter adds a part of it to the rows before and after, as less friction near standstill."""
+    robot = lieid.robots.panda()
+    arm = plant.demo_arm(robot, hidden=None)
+    runs = (each_at_its_own_time(arm, k, joints=range(7)) for k in (seed, seed + 1))
+    found = lieid.diagnose(lieid.Model(robot, "coulomb,viscous,offset"), *runs)
+    assert found.verdict == "sufficient"
+
+
 @pytest.mark.parametrize("joints", [(1,), (2, 3)])
 def test_a_payload_is_found_where_few_joints_move(joints):
     """They show combinations of its mass and first moments, and of the links', that are known."""
@@ -164,3 +176,35 @@ def test_a_payload_is_found_where_few_joints_move(joints):
     for joint in joints:
         assert found.steps[0].errors["rms_test_moving"][joint] < 0.3
     assert not lieid.diagnose(fit, each_at_its_own_time(arm, 4, joints=joints)).steps
+
+
+def test_an_effect_of_the_library_is_found_where_functions_do_not_extend():
+    """Chirps: every held-out part has frequencies of its own, to which no function extends."""
+    robot = lieid.robots.panda()
+    arm = plant.demo_arm(robot, hidden=None)
+    lacking = arm.with_effects(plant.hidden_effect(arm, "load_friction", 1, strength=4.0))
+    runs = (chirps(lacking, seed) for seed in (1, 2))
+    found = lieid.diagnose(lieid.Model(robot, "coulomb,viscous,offset"), *runs)
+    assert found.steps[0].label == "load_friction:2"
+    assert (
+        found.steps[-1].errors["rms_test_moving"][1] < 0.05 * found.baseline["rms_test_moving"][1]
+    )
+
+
+def chirps(arm, seed):
+    """Measure joints that swing ever faster, or ever slower, for 20 s."""
+    random, t = np.random.default_rng(seed), np.arange(0.0, 20.0, 0.002)
+    robot = arm.robot
+    span = robot.limit("position_upper") - robot.limit("position_lower")
+    q = np.zeros((len(t), robot.n)) + robot.limit("position_lower") + 0.5 * span
+    for joint in range(robot.n):
+        f = np.linspace(0.1, 1.5, len(t))
+        f = f if random.random() < 0.5 else f[::-1]
+        phase = 2.0 * np.pi * np.cumsum(f) * 0.002 + random.uniform(0.0, 6.0)
+        size = 0.5 * robot.limit("velocity")[joint] / (2.0 * np.pi * f)
+        q[:, joint] += np.minimum(0.15 * span[joint], size) * np.sin(phase)
+    q = gaussian_filter1d(q, 10, axis=0, mode="nearest")
+    dq = np.gradient(q, 0.002, axis=0)
+    sensors = plant.Sensors(rate=250.0, torque_noise=0.1)
+    motion = q, dq, np.gradient(dq, 0.002, axis=0)
+    return plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed)
