@@ -113,7 +113,7 @@ class UnseenMotion:
             np.array([getattr(c, end) for c in fit.model.columns]) for end in ("lower", "upper")
         )
         values = np.zeros((parts, count))
-        for k, (own, slope) in enumerate(zip(gram, sum(score, 0.0 * values), strict=True)):
+        for k, (own, slope) in enumerate(zip(gram, np.sum(score, axis=0), strict=True)):
             outside = (whole - own) / np.outer(size, size) + RIDGE * np.eye(count)
             change = np.linalg.solve(outside, slope / size) / size
             values[k] = np.clip(fit.effect_coefficients - change, lower, upper)

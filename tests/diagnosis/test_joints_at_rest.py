@@ -5,11 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hidden_effects.motions import point_to_point
 from plant.recordings import recorded
 from scipy.ndimage import gaussian_filter1d
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.diagnosis.rows import Rows
+from lieid_casadi.diagnosis.smooth_functions import formula_of
+from lieid_casadi.recording import process
 
 ROBOT = lieid.robots.two_link()
 MODEL = lieid.Model(ROBOT, "coulomb,viscous,offset")
@@ -208,3 +212,22 @@ def chirps(arm, seed):
     sensors = plant.Sensors(rate=250.0, torque_noise=0.1)
     motion = q, dq, np.gradient(dq, 0.002, axis=0)
     return plant.measure_along(arm, t, *motion, sensors=sensors, seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("torque", "formula"), [(np.sign, ""), (np.square, "2·dq1² (100 % of its variance)")]
+)
+def test_a_formula_has_no_term_that_the_model_has_nearly_all_of(torque, formula):
+    """In moves between rests 2 % of sgn(q̇) are no Coulomb friction: errors at starts and stops."""
+    motion = point_to_point(ROBOT, poses=8, dwell=0.5, speed=0.6, seed=1)
+    t = np.arange(0.0, motion.duration, 0.002)
+    sensors = plant.Sensors(rate=250.0, torque_noise=0.05)
+    recording = plant.measure_along(ARM, t, *motion.at(t), sensors=sensors, seed=1)
+    fit = lieid.identify(MODEL, recording)
+    rows = Rows.of(fit, process([recording], fit.processing), with_candidates=False)
+    speed = np.concatenate([s.values["dq"][s.segment.kept, 0] for s in rows.signals])
+    own = torque(speed[rows.runs[0].all])
+    with_own = rows.with_apart([own[:, None], np.zeros((rows.runs[1].count, 1))])
+    placement = lieid.Model(ROBOT, "smooth/dq:1").placements[0]
+    last = np.array([with_own.model[0].shape[1] - 1])
+    assert formula_of(with_own, placement, last, np.array([2.0])) == formula

@@ -322,7 +322,7 @@ def with_columns(rows: Rows, further: Sequence[Array]) -> Rows:
 
 FREE = 100.0  # standard deviations by which a weak parameter may move in place of one
 EXACT = 1e-12  # variance relative to the largest below which a direction is known exactly
-LEAST_KNOWN = 1e-9  # the same as a prior of later data: errors of a model do not average out
+LEAST_KNOWN = 1e-8  # the same as a prior of later data: errors of a model do not average out
 
 
 def prior_rows(covariance: Array, *, known: float = EXACT) -> Array:
