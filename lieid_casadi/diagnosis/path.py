@@ -364,30 +364,29 @@ def _best(
     late = [g for g in state.groups if columns.delays[g]]  # two that nearly cancel are another form
     taken |= columns.delays & columns.reach[columns.reach[:, late].any(axis=1)].any(axis=0)
     score = np.where(rules.usable & ~refused & ~taken, gains - rules.penalty, 0.0)
-    while True:
-        best = int(np.argmax(score)) if len(score) else 0
-        if not len(score) or score[best] <= least:
-            return None
+    while len(score) and score[best := int(np.argmax(score))] > least:
         if rules.allowed(best, values[columns.of_group(best)]):
             return best
         refused[best], score[best] = True, 0.0
+    return None
 
 
 def _exchanged(state: PathState, rules: Rules, refused: Mask) -> PathState:
     """Return the state with each group exchanged for the best one in its place, if it is better."""
-    own_size, complete = np.zeros(len(rules.usable), dtype=bool), state
+    complete, numbers = state, np.arange(len(rules.usable))
     for group in state.groups:
         if state is complete and group == state.groups[-1]:
             break  # the last one was the best beside the others
         if state.paths.span.of_prior and not rules.usable[group]:
             continue  # between two points of its grid a large change is nearer to a function
         rest = state.without(group)
-        own_size[:] = rules.usable
-        own_size[group] = True
-        found = rest.gains(own_size)
-        own = float(found[0][group] - rules.penalty[group])
+        found = rest.gains(rules.usable | (numbers == group))
+        own = float(found[0][group])
+        if not own and rules.usable[group]:  # the others nearly contain it: what is lost counts
+            own = float(state.residual @ state.residual - rest.residual @ rest.residual)
+        own -= float(rules.penalty[group])
         better = _best(rest, found, rules, refused, max(own, 0.0) * (1.0 + MARGIN))
-        if better is not None and better != group and not rules.smooth[group]:
+        if better is not None and not rules.smooth[group]:
             state = rest.with_group(better)
         elif own <= 0.0:
             state = rest

@@ -132,6 +132,18 @@ def test_parameters_of_a_kept_model_that_move_in_its_place_are_no_reason_against
         assert (slot.fall > 0.05) == supported
 
 
+def test_a_group_that_the_others_nearly_contain_stays_where_its_own_part_is_needed():
+    """Only 2 % of its column are its own; without it nearly all of what remains comes back."""
+    _, one, other, own = np.linalg.qr(np.random.default_rng(6).normal(size=(ROWS, 4)))[0].T
+    both = np.sqrt(1.0 - 0.3**2 - 0.02**2) * one + 0.3 * other + 0.02 * own
+    owner = Candidate(Placement(make("armature"), 0), np.zeros((1, 0)))
+    pieces = [[(k, column[:, None]) for k, column in enumerate((both, one, other))], []]
+    columns = assemble([owner] * 3, range(3), [0] * 3, [1] * 3, pieces, [ROWS, ROWS])
+    torque = 1000.0 * both - 30.0 * one + 95.0 * other + 25.0 * own
+    span = Span.of([np.zeros((ROWS, 1))] * 2, [torque, np.zeros(ROWS)])
+    assert forward(Paths(span, columns), -1, rules(columns)) == (0, 1, 2)
+
+
 def test_effects_that_are_there_are_selected_in_every_path_and_noise_is_not_supported():
     model, residual, columns = problem(3, signal=(2, 5), size=0.4)
     span, folds = Span.of(model, np.split(residual, 2)), parts(10)
