@@ -308,23 +308,23 @@ def _with_plausible_values(
 def with_other_forms(state: State) -> State:
     """Return the state with another form of friction, or of a delay, in place of effects.
 
-    It is better if the cross-validated error is lower by what an effect must be worth; with fewer
-    parameters, and on the other joints, if it is not higher by as much. Effects that are no longer
-    plausible beside it leave.
+    It is better if the cross-validated errors, multiplied over the joints, are lower: with more
+    parameters by what an effect must be worth, with fewer they may be higher by as much. Effects
+    that are no longer plausible beside it leave.
     """
     search = state.search
     for j in range(state.fit.model.n):
-        for found, replaced in other_forms(state.accepted, j, search.candidates):
-            others = [*(a for a in state.accepted if a not in replaced), found]
-            fewer = found.candidate.parameters < sum(a.candidate.parameters for a in replaced)
-            most = state.fit.rms_cv / (1.0 - search.options.worth)
-            most[j] = state.fit.rms_cv[j] * (1.0 - search.options.worth) ** (-1 if fewer else 1)
-            other = plausible(state, others)
-            if found not in other.accepted or (other.fit.rms_cv > most).any():
+        before, least = state, float(np.nanprod(state.fit.rms_cv))
+        for found, replaced in other_forms(before.accepted, j, search.candidates):
+            others = [*(a for a in before.accepted if a not in replaced), found]
+            more = found.candidate.parameters - sum(a.candidate.parameters for a in replaced)
+            other = plausible(before, others)
+            error = float(np.nanprod(other.fit.rms_cv))
+            error *= (1.0 - search.options.worth) ** -np.sign(more)
+            if found not in other.accepted or error >= least:
                 continue
             other = replace(other, fit=search.complete(other.accepted))
-            errors = float(state.fit.rms_cv[j]), float(other.fit.rms_cv[j])
+            errors = float(before.fit.rms_cv[j]), float(other.fit.rms_cv[j])
             if doubt_of(other, found) is None and search.agreed(found.placement.label, j, errors):
-                state = other
-                break
+                state, least = other, error
     return state

@@ -61,6 +61,14 @@ def test_a_delay_of_all_torque_is_named():
     assert not late(diagnosis)
 
 
+def test_a_shift_of_time_takes_the_place_of_a_filter():
+    """The errors of all joints decide: that of joint 1 alone is lower with the filter."""
+    arm = plant.demo_arm(ROBOT, hidden=None).with_effects(plant.TimeShift(0.05))
+    (step,) = lieid.diagnose(MODEL, recorded(arm, 3, seconds=12.0)).steps
+    assert step.label == "time_shift"
+    assert "torque_lowpass/common_second_order" in {rival.label for rival in step.rivals}
+
+
 def test_nothing_is_stated_where_friction_is_on_time():
     assert not late(lieid.diagnose(MODEL, [recording(seed)[0] for seed in (1, 2)]))
 
