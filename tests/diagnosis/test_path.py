@@ -133,7 +133,7 @@ def test_parameters_of_a_kept_model_that_move_in_its_place_are_no_reason_against
 
 
 def test_a_group_that_the_others_nearly_contain_stays_where_its_own_part_is_needed():
-    """Only 2 % of its column are its own; without it nearly all of what remains comes back."""
+    """Only 2 % of its column are its own; without it the path has nearly the whole error again."""
     _, one, other, own = np.linalg.qr(np.random.default_rng(6).normal(size=(ROWS, 4)))[0].T
     both = np.sqrt(1.0 - 0.3**2 - 0.02**2) * one + 0.3 * other + 0.02 * own
     owner = Candidate(Placement(make("armature"), 0), np.zeros((1, 0)))
