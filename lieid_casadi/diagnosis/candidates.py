@@ -6,17 +6,19 @@ that return why fitted values are implausible, or None.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
+import casadi as ca
 import numpy as np
 
 from lieid_casadi.arrays import Array, Mask
 from lieid_casadi.diagnosis.events import follows_commands, moves_enough
-from lieid_casadi.diagnosis.incremental import incremental
 from lieid_casadi.effects import ArmEffect, Effect, Placement
+from lieid_casadi.effects.effect import Signals
+from lieid_casadi.effects.payload import AddedPayload, Payload
 from lieid_casadi.effects.registry import make, usable
 from lieid_casadi.identification.regression.resolved_shapes import least_resolved, shape_limits
 from lieid_casadi.identification.regression.variable_projection import ShapeRange
@@ -198,6 +200,41 @@ def list_candidates(
             if len(grid):
                 found.append(Candidate(placement, grid, scanned=tried))
     return tuple(found)
+
+
+class IncrementalEffect(Effect):
+    """An effect added to a model that is kept, in place of, or together with, another effect."""
+
+    def __init__(
+        self, effect: Effect, replaced: Sequence[Effect], companions: Sequence[Effect]
+    ) -> None:
+        self.name = effect.name  # type: ignore[misc]
+        self.option, self.formula = effect.option, effect.formula
+        self.shapes, self.states, self.dry = effect.shapes, effect.states, effect.dry
+        self._effect, self._replaced, self._companions = effect, replaced, companions
+        every = (effect, *replaced, *companions)
+        self.signals = tuple({signal for each in every for signal in each.signals})
+        self.coefficients = sum((c.coefficients for c in companions), effect.coefficients)
+
+    def columns(self, s: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+        """Return the columns of the change."""
+        own = list(self._effect.columns(s, shape))
+        for replaced in self._replaced:
+            own[0] = own[0] - replaced.columns(s, {})[0]
+        return own + [c for each in self._companions for c in each.columns(s, {})]
+
+    def advance(self, before: Signals, now: Signals, shape: Mapping[str, ca.SX]) -> Sequence[ca.SX]:
+        """Return the states after a step; ``before`` contains those at its beginning."""
+        return self._effect.advance(before, now, shape)
+
+
+def incremental(effect: Effect, present: Sequence[str]) -> Effect:
+    """Return an effect as the change that it makes to a model with the named effects."""
+    replaced = [make(name) for name in effect.replaces if name in present]
+    companions = [make(name) for name in effect.accompanied_by]
+    if isinstance(effect, Payload):
+        return AddedPayload()
+    return IncrementalEffect(effect, replaced, companions) if replaced or companions else effect
 
 
 def shape_grid(effect: Effect, segments: Sequence[Processed], joint: int) -> Array:

@@ -212,7 +212,8 @@ def _reason(
         return CONTAINED
     others = _fitted(found, [c.slot for c in changes if c is not change])
     rest, left = _rest(found, others), _left(found, others)
-    if not _raised(found.rows, found.paths.span, rest, left, noise).any():
+    still = _raised(found.rows, found.paths.span, rest, left, noise)
+    if not still[found.paths.columns.reach[:, slot.group]].any():
         return "without it the error is as expected of the fit"
     fall = float(_falls(found, noise, changes, change)[raised].max(initial=-np.inf))
     if fall < options.worth_of_change:

@@ -26,6 +26,7 @@ from lieid_casadi.identification.uncertainty.noise_model import Noise, noise_of
 
 SMOOTH = Smooth.name
 REFINEMENT = (1 / 3, 2 / 3)  # positions between two grid points
+MOST_REFINEMENTS = 6
 PROMISING = 0.5  # of its penalty that a group must gain to be in the paths outside held-out parts
 EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, by default
 #: What dry friction may do beside the model, by the names that effects have for it.
@@ -100,13 +101,16 @@ def search(
     if noise is not None:  # in the unit of the prior: per independent sample
         scale = independent_spread(noise)
     rests = list[list[Array]]()
-    for _ in range(2):  # on the first grid, then on finer ones around what it chose
+    for k in range(MOST_REFINEMENTS):  # on the first grid, then on finer ones around what it chose
         paths = Paths(rows.span(scale, prior), rows.columns.weighted(rows.weights(scale)))
-        whole = forward(paths, -1, _rules(paths.columns, rows, options))
+        rules = _rules(paths.columns, rows, options)
+        whole = forward(paths, -1, rules)
         rests = [residual_beside(paths, groups, rows, scale) for groups in (whole, ())]
         if noise is None:
             scale = rows.spread(rests[0])
         rows = rows.with_candidates(_refined(paths, whole, rows))
+        if k and not _coarse(paths, whole, float(rules.penalty.min(initial=np.inf))):
+            break
     if with_smooth:
         span = rows.span(scale, prior)
         smooth = smooth_candidates(rows, span, rests, scale, whole=prior is not None)
@@ -357,6 +361,25 @@ def rest_beside(span: Span, outside: Sequence[Array]) -> Array:
     """Return what further columns (R + k, c) outside a span leave of its residual (R + k,)."""
     more = np.hstack([np.zeros((len(span.residual), 0)), *outside])
     return span.residual - more @ solved(more.T @ more, more.T @ span.residual)
+
+
+def _coarse(paths: Paths, whole: Sequence[int], least: float) -> bool:
+    """Return whether a shape of a path can leave more than ``least`` on a grid once refined.
+
+    Half a step away from it, that is the part of its torque that its coefficients do not follow, in
+    squares of the noise. Others would imitate it.
+    """
+    owner = paths.columns.owner
+    for group in (g for g in whole if paths.columns.candidate(g).effect.shapes):
+        own = paths.outside(group)
+        values = solved(own.T @ own, own.T @ paths.span.residual)
+        for near in (group - 1, group + 1):
+            if 0 <= near < len(owner) and owner[near] == owner[group]:
+                torque = replace(paths.span, residual=paths.outside(near) @ values)
+                rest = rest_beside(torque, [own]) / (2.0 * (len(REFINEMENT) + 1))
+                if rest @ rest > least:
+                    return True
+    return False
 
 
 def _refined(paths: Paths, whole: Sequence[int], rows: Rows) -> list[Candidate]:

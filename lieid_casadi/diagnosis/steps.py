@@ -382,9 +382,8 @@ def late_friction(found: Round, worth: float) -> list[LateFrictionWarning]:
 
     It is stated where it lowers the error of a joint by ``worth``, relative to it.
     """
-    span, rows, late = found.paths.span, found.rows, []
-    rest = span.residual
-    changes = in_span(span, rows.shifted_friction(), rows.weights(found.spread))
+    span, rest, late = found.paths.span, found.paths.span.residual, []
+    changes = in_span(span, found.rows.shifted_friction(), found.rows.weights(found.spread))
     for j, outside in enumerate(span.outside(changes).T):
         size, total = float(outside @ outside), float(rest[span.joint(j)] @ rest[span.joint(j)])
         if size <= 0.0 or total <= 0.0:

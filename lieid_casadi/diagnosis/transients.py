@@ -335,9 +335,8 @@ def _still(q: Array, segment: Processed) -> Mask:
 def _rests(still: Mask, segment: Processed) -> list[slice]:
     """Return the stretches in which the whole arm rests for a while."""
     time = segment.filtered_time
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.all(axis=1).astype(int), [0]])))
-    runs = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [slice(a, b) for a, b in runs if time[b - 1] - time[a] > RESTING]
+    ends = np.flatnonzero(np.diff(still.all(axis=1), prepend=False, append=False)).reshape(-1, 2)
+    return [slice(a, b) for a, b in ends.tolist() if time[b - 1] - time[a] > RESTING]
 
 
 def _late_torque(segment: Processed, torque: Array) -> Array:

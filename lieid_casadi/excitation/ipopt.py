@@ -72,8 +72,8 @@ class SampledConstraints:
         parts = []
         for limits in self.sets:
             values, scale = limits.values(motion), limits.scale[:, None]
-            parts.append((values - limits.upper[:, None]) / scale)
-            parts.append((limits.lower[:, None] - values) / scale)
+            above, below = values - limits.upper[:, None], limits.lower[:, None] - values
+            parts += [above / scale, below / scale]
         return np.concatenate(parts) + self.margin
 
     def peaks(self, excess: Array, threshold: float) -> Indices:

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from lieid_casadi.arrays import Array, Mask
+from lieid_casadi.comparison.plots import draw_errors
 from lieid_casadi.errors import LieidWarning, PayloadMisfitWarning, warning_list
 from lieid_casadi.identification.recording_checks import Source
 from lieid_casadi.json_numbers import number_or_none, numbers_or_none
-from lieid_casadi.plot_style import Axes, Figure, drawing
+from lieid_casadi.plot_style import Axes, Figure
 from lieid_casadi.robot.inertia import body_inertia
 from lieid_casadi.tables import Table, figures, html, make_table, with_std
 
@@ -208,20 +209,8 @@ class PayloadEstimate:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the error of each joint with and without the payload and return the figure."""
-        places = np.arange(len(self.joint_names))
-        figure, ax = drawing(ax, 1.6 + 0.9 * len(places), 3.4)
-        ax.bar(places - 0.2, self.rms_before, 0.38, color="0.7", label="fit alone")
-        ax.bar(places + 0.2, self.rms_after, 0.38, color="tab:blue", label="with the payload")
-        ax.hlines(
-            self.rms_fit, places - 0.42, places + 0.42, colors="black", linestyles="--",
-            linewidth=1.0, label="the fit's own held-out error",
-        )  # fmt: skip
-        ax.set_xticks(places, [f"{j + 1}" for j in places])
-        ax.set_xlabel("joint")
-        ax.set_ylabel("RMS error, N·m")
-        ax.set_title(self.sentence, fontsize=8, wrap=True)
-        ax.legend(fontsize=8)
-        return figure
+        errors, fit = (self.rms_before, self.rms_after), ("the fit's own", self.rms_fit)
+        return draw_errors(errors, ("fit alone", "with the payload"), fit, "recordings", ax)
 
     def _repr_html_(self) -> str:
         reasons = [f"* {names}: {reason}." for names, reason in not_identified(self)]

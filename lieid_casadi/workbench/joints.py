@@ -142,9 +142,8 @@ class HistoryView(View):
             shown.append(part("number", f"{session.error_name} {figures(unseen)}"))
         if other or k != session.position:
             meaning = "end the comparison" if other else "compare with the step that is shown"
-            css = "accent" if other else ""
-            act = f"compare {k}"
-            shown.append(icon_part("compare_arrows", act, meaning, id=f"compare-{k + 1}", css=css))
+            names = {"id": f"compare-{k + 1}", "css": "accent" if other else ""}
+            shown.append(icon_part("compare_arrows", f"compare {k}", meaning, **names))
         state = "selected" if k == session.position else "undone" if k > session.position else ""
         return part(f"history-row {state}", *shown, id=f"step-{k + 1}", action=f"show {k}")
 

@@ -1,20 +1,22 @@
 # ruff: noqa: T201
 """Diagnose a simulated Panda along motions that nobody designed for identification.
 
-One effect is hidden on a joint, or none, or a payload was attached since a fit. The motions are
+One effect is hidden on a joint, or none, or a payload was attached since a fit; with ``--changed``
+each effect, or more friction or offset, has come since a fit. The motions are
 those of recordings that exist anyway: joints that move one after the other or two at a time, cycles
 between three poses, teleoperation (each joint to goals and with pauses of its own), bounces at
 constant speeds, chirps, one slow swing, few joints, several short recordings. Right is a diagnosis
 whose steps are the hidden effect alone. Beside it stands the unseen error in motion of the joint
 (of the worst one), without the effect and with what was found, in multiples of the noise floor.
 
-    python tests/benchmarks/motions.py [--motions alone,pairs] [--rate 250]
+    python tests/benchmarks/motions.py [--motions alone,pairs] [--rate 250] [--changed]
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -34,7 +36,8 @@ HIDDEN = (
     "none", "stribeck:2", "load_friction:2", "presliding:2", "viscous_polynomial:4",
     "torque_ripple:4", "torque_gain:4", "payload",
 )  # fmt: skip
-STRENGTH = 4.0
+CHANGED = (*HIDDEN[:-1], "coulomb:2", "viscous:4", "offset:4")
+STRENGTH, MORE = 4.0, 1.6  # of hidden effects, and how many times as large friction or offset is
 Motion = Callable[[np.random.Generator], list[Array]]  # one path (K, n) per recording
 
 
@@ -167,16 +170,26 @@ def recorded(arm: plant.Arm, motion: Motion, seed: int, rate: float) -> list[lie
     return found
 
 
-def diagnosed(motion: Motion, hidden: str, rate: float) -> lieid.Diagnosis:
-    """Return the diagnosis of an arm with a hidden effect."""
+def with_hidden(hidden: str) -> plant.Arm:
+    """Return the arm with an effect, or with more of the friction or offset that it has."""
+    name, _, joint = hidden.partition(":")
+    if hidden == "none":
+        return ARM
     if hidden == "payload":
-        arm = ARM.with_effects(plant.Payload(1.0, (0.02, -0.01, 0.04), 1e-6))
+        return ARM.with_effects(plant.Payload(1.0, (0.02, -0.01, 0.04), 1e-6))
+    if name in ("coulomb", "viscous", "offset"):
+        values = getattr(ARM.friction, name).copy()
+        values[int(joint) - 1] *= MORE
+        return replace(ARM, friction=replace(ARM.friction, **{name: values}))
+    return ARM.with_effects(plant.hidden_effect(ARM, name, int(joint) - 1, strength=STRENGTH))
+
+
+def diagnosed(motion: Motion, hidden: str, rate: float, *, changed: bool) -> lieid.Diagnosis:
+    """Return the diagnosis of an arm with a hidden effect."""
+    arm = with_hidden(hidden)
+    if changed or hidden == "payload":
         fit = lieid.identify(MODEL, recorded(ARM, motion, 3, rate))
         return lieid.diagnose(fit, recorded(arm, motion, 2, rate))
-    arm = ARM
-    if hidden != "none":
-        name, joint = hidden.split(":")
-        arm = arm.with_effects(plant.hidden_effect(arm, name, int(joint) - 1, strength=STRENGTH))
     return lieid.diagnose(MODEL, recorded(arm, motion, 1, rate), recorded(arm, motion, 2, rate))
 
 
@@ -196,11 +209,13 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--motions", default=",".join(MOTIONS), help="comma-separated")
     parser.add_argument("--rate", type=float, default=250.0, help="of recordings, Hz")
+    parser.add_argument("--changed", action="store_true", help="changes since a fit")
     args = parser.parse_args(argv)
     results = []
     for motion in args.motions.split(","):
-        for hidden in HIDDEN:
-            right, text = line(motion, hidden, diagnosed(MOTIONS[motion], hidden, args.rate))
+        for hidden in CHANGED if args.changed else HIDDEN:
+            found = diagnosed(MOTIONS[motion], hidden, args.rate, changed=args.changed)
+            right, text = line(motion, hidden, found)
             results.append(right)
             print(text, flush=True)
     print(f"right: {sum(results)} of {len(results)}")

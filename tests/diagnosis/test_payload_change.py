@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hidden_effects.motions import moves_between
 from plant.recordings import recorded
 
 import lieid_casadi as lieid
 from lieid_casadi import plant
+from lieid_casadi.plant.trajectories import Envelope
 
 ROBOT = lieid.robots.panda()
 COM = np.array([0.02, 0.03, 0.08])
@@ -64,3 +66,30 @@ def test_parameters_of_a_short_fit_do_not_take_a_change_beyond_their_uncertainty
     assert lieid.diagnose(fit, run).steps == ()
     found = lieid.diagnose(fit, replace(run, tau=run.tau + np.array([0, 0, 0, 0, 0.3, 0, 0])))
     assert [step.label for step in found.steps] == ["offset:5"]
+
+
+@pytest.mark.parametrize(("k", "size"), [(3.0, 8.0), (2.3, 20.0), (4.1, 20.0)])
+def test_a_large_ripple_between_two_points_of_its_grid_is_the_only_change(fit, k, size):
+    run, ripple = recording(3), np.zeros(7)
+    ripple[3] = size
+    found = lieid.diagnose(fit, replace(run, tau=run.tau + ripple * np.sin(k * run.q + 1.0)))
+    assert [step.label for step in found.steps] == ["torque_ripple:4"]
+    assert found.steps[0].parameters["k"] == pytest.approx(k, rel=0.01)
+
+
+def cycle(arm, seed):
+    """Measure an arm that moves between three poses, again and again."""
+    random, limits = np.random.default_rng(seed), Envelope.of(ROBOT)
+    poses = np.tile(0.5 * random.uniform(limits.lower, limits.upper, (3, 7)), (4, 1))
+    motion = moves_between(poses, np.ones(len(poses) - 1), 0.3)
+    t = np.arange(0.0, motion.duration, 0.002)
+    sensors = plant.Sensors(rate=250.0, torque_noise=0.1)
+    return plant.measure_along(arm, t, *motion.at(t), sensors=sensors, seed=seed)
+
+
+def test_errors_of_uncertain_parameters_are_no_changes_beside_that_of_another_joint():
+    arm = plant.demo_arm(ROBOT, seed=0, hidden=None)
+    fit = lieid.identify(lieid.Model(ROBOT, "coulomb,viscous,offset"), cycle(arm, 1))
+    changed = arm.with_effects(plant.hidden_effect(arm, "load_friction", 1, strength=4.0))
+    found = lieid.diagnose(fit, cycle(changed, 11))
+    assert [step.label for step in found.steps] == ["load_friction:2"]
