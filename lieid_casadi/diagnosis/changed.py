@@ -179,7 +179,7 @@ def _changes(
     """Return the changes that pass, and the reasons against the others.
 
     They are examined together, one is left out, the last of the path first, and the others are
-    examined again. A change without which no error is `_raised` is not needed.
+    examined again. A change without which none of its joints has a `_raised` error is not needed.
     """
     rejected: dict[str, str] = {}
     slots = list(found.slots)

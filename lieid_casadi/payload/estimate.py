@@ -209,7 +209,7 @@ class PayloadEstimate:
 
     def plot(self, ax: Axes | None = None) -> Figure:
         """Draw the error of each joint with and without the payload and return the figure."""
-        errors, fit = (self.rms_before, self.rms_after), ("the fit's own", self.rms_fit)
+        errors, fit = (self.rms_before, self.rms_after), ("the fit's held-out error", self.rms_fit)
         return draw_errors(errors, ("fit alone", "with the payload"), fit, "recordings", ax)
 
     def _repr_html_(self) -> str:
