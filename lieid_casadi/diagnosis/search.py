@@ -26,7 +26,7 @@ from lieid_casadi.identification.uncertainty.noise_model import Noise, noise_of
 
 SMOOTH = Smooth.name
 REFINEMENT = (1 / 3, 2 / 3)  # positions between two grid points
-MOST_REFINEMENTS = 6
+MOST_REFINEMENTS = 6  # passes, each with a third of the steps of the one before
 PROMISING = 0.5  # of its penalty that a group must gain to be in the paths outside held-out parts
 EARLY = 0.01  # s: MuJoCo opposes the velocity that a joint has so much later, by default
 #: What dry friction may do beside the model, by the names that effects have for it.
